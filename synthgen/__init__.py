@@ -1,0 +1,3 @@
+"""synthgen: synthetic hands with labels that are checked."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""Rotations, rigid transforms, cameras, normals, subdivision and a reference rasteriser."""

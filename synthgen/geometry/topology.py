@@ -1,0 +1,47 @@
+"""Open boundaries of triangle meshes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ShapeError
+
+
+def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
+    """Return the boundary loops of a triangle mesh.
+
+    Parameters
+    ----------
+    faces : (F, 3) int
+
+    Returns
+    -------
+    list of (n,) int64
+        Vertex ids in the direction of the faces' own edges, the longest loop first, each loop
+        starting at its smallest id.
+
+    Raises
+    ------
+    ShapeError
+        If a boundary vertex belongs to several loops (the surface touches itself in a point).
+    """
+    f = np.asarray(faces, dtype=np.int64)
+    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    present = {(int(a), int(b)) for a, b in directed}
+    following: dict[int, int] = {}
+    for a, b in sorted(present):
+        if (b, a) in present:
+            continue
+        if a in following:
+            raise ShapeError(f"vertex {a} lies on several boundary loops; split it first")
+        following[a] = b
+    loops = []
+    while following:
+        loop = [min(following)]
+        while (step := following.pop(loop[-1])) != loop[0]:
+            loop.append(step)
+        loops.append(np.array(loop, dtype=np.int64))
+    return sorted(loops, key=len, reverse=True)

@@ -1,0 +1,20 @@
+"""Hand models: files, evaluation, mirroring, joint tables and the drawn surface."""
+
+from synthgen.models.files import list_models, load
+from synthgen.models.joints import openpose21
+from synthgen.models.mano import ManoModel, Posed
+from synthgen.models.mirror import mirror_model, mirror_pose
+from synthgen.models.surface import Arm, HandSurface, pose_surface
+
+__all__ = [
+    "Arm",
+    "HandSurface",
+    "ManoModel",
+    "Posed",
+    "list_models",
+    "load",
+    "mirror_model",
+    "mirror_pose",
+    "openpose21",
+    "pose_surface",
+]

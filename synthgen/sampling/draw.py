@@ -1,0 +1,288 @@
+"""Draw a whole sample: config, seed, index and attempt in, a fully resolved spec out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.config import Config
+from synthgen.errors import SamplingError
+from synthgen.geometry.cameras import Camera
+from synthgen.geometry.rotations import axis_angle_from_matrix
+from synthgen.models import ManoModel, load, pose_surface
+from synthgen.sampling import lighting, orientation, placement
+from synthgen.sampling.appearance import sample_skin
+from synthgen.sampling.hand_pose import prior_of, sample_hand_pose
+from synthgen.sampling.limits import limits_of
+from synthgen.sampling.penetration import probe_of
+from synthgen.sampling.shape import sample_shape
+from synthgen.sampling.spec import RenderSettings, SampleSpec
+from synthgen.sampling.streams import stream
+from synthgen.scene import HandSubject, Scene, Skin
+from synthgen.scene.description import Hand, Vec3
+
+Array = NDArray[np.float64]
+Streams = Callable[[str], np.random.Generator]
+
+POSE_TRIES = 200
+PLACEMENT_TRIES = 16
+MIRROR = np.array([1.0, -1.0, -1.0])  # axis-angle of a mirrored rotation, papers' A.1-A.5
+
+
+@dataclass(frozen=True)
+class _Person:
+    subject_id: int
+    shape: Array
+    skin: Skin
+    tone: float
+
+
+def draw_sample(config: Config, index: int, attempt: int = 0) -> SampleSpec:
+    """Resolve one sample.
+
+    Parameters
+    ----------
+    config : Config
+    index : int
+        Position in the corpus, >= 0.
+    attempt : int
+        0 in the plan; higher where the sample is redrawn after a rejection.
+
+    Returns
+    -------
+    SampleSpec
+        A pure function of the arguments (and of the model's file and library versions).
+
+    Raises
+    ------
+    SamplingError
+        If the configuration cannot be met; the message says which setting to change.
+    """
+
+    def streams(name: str) -> np.random.Generator:
+        return stream(config.seed, "sample", index, attempt, name)
+
+    hand = _side(config, streams("hand"))
+    person = _person(config, index, streams("identity"))
+    pose, source, depth = _pose(config, person.shape, index, streams("pose"))
+    placed = _place(config, person, hand, pose, index, streams)
+    light, background = _surroundings(config, placed, streams)
+    scene = Scene((placed.subject,), placed.cameras, light[1], background[1])
+    factors: dict[str, float | int | str] = {
+        "hand": hand,
+        "subject_id": person.subject_id,
+        "skin_tone": round(person.tone, 6),
+        "pose_source": source,
+        "penetration_m": round(depth, 6),
+        "light": light[0],
+        "background": background[0],
+        **placed.factors,
+    }
+    return SampleSpec(index, attempt, scene, _render_settings(config, streams("render")), factors)
+
+
+def _side(config: Config, rng: np.random.Generator) -> Hand:
+    drawn: Hand = "right" if rng.random() < 0.5 else "left"
+    return drawn if config.model.hands == "both" else config.model.hands
+
+
+def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
+    count = config.subjects.count
+    subject_id = index if count is None else int(rng.integers(count))
+    n_betas = load(config.model.name, hand="right").shapedirs.shape[2]
+    shape = sample_shape(
+        n_betas,
+        sigma=config.shape.sigma,
+        limit=config.shape.limit,
+        rng=stream(config.seed, "subject", subject_id, 0, "shape"),
+    )
+    skin, tone = sample_skin(
+        config.skin.tones, rng=stream(config.seed, "subject", subject_id, 0, "skin")
+    )
+    return _Person(subject_id, shape, skin, tone)
+
+
+def _pose(
+    config: Config, shape: Array, index: int, rng: np.random.Generator
+) -> tuple[Array, str, float]:
+    """Draw right-hand poses until one penetrates itself less than the limit."""
+    model = load(config.model.name, hand="right")
+    limits, probe = limits_of(model), probe_of(model)
+    settings = config.pose
+    prior = None
+    if settings.gmm_share > 0:
+        prior = prior_of(model, settings.gmm_components, settings.pca_components)
+    for _ in range(POSE_TRIES):
+        pose, source = sample_hand_pose(limits, prior, gmm_share=settings.gmm_share, rng=rng)
+        depth = probe.depth_m(model.evaluate(shape[None], pose[None]).vertices[0])
+        if depth <= settings.penetration_limit_m:
+            return pose, source, depth
+    raise SamplingError(
+        f"sample {index}: {POSE_TRIES} poses in a row penetrate themselves by more than "
+        f"pose.penetration_limit_m={settings.penetration_limit_m}; raise the limit"
+    )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    subject: HandSubject
+    cameras: tuple[Camera, ...]
+    surface: Array
+    factors: dict[str, float | int | str]
+
+
+def _place(
+    config: Config, person: _Person, hand: Hand, pose: Array, index: int, streams: Streams
+) -> _Placed:
+    """Turn the hand, put cameras around it and find an arm that leaves every picture."""
+    model = load(config.model.name, hand=hand)
+    turn, look, arms = streams("orientation"), streams("camera"), streams("arm")
+    seen_from = _orientation(config, hand, turn)
+    centre = np.array([0.0, 1.25, 0.0]) + look.uniform(-0.2, 0.2, 3)
+    found = None
+    for _ in range(PLACEMENT_TRIES):
+        view = placement.sample_view(rng=look)
+        rotation = axis_angle_from_matrix(view @ seen_from)
+        still = _subject(config, person, hand, np.vstack([rotation, _sided(pose, hand)[1:]]))
+        still = _centred(model, still, centre)
+        cameras, factors = _cameras(config, model, still, view, look)
+        found = _arm(model, still, cameras, arms)
+        if found is not None:
+            return _Placed(found[0], cameras, found[1], factors)
+    placement.require_arm(found, index, PLACEMENT_TRIES * placement.ARM_TRIES)
+    raise AssertionError("unreachable")  # pragma: no cover
+
+
+def _orientation(config: Config, hand: Hand, rng: np.random.Generator) -> Array:
+    if config.orientation.mode == "uniform":
+        return orientation.uniform_rotation(rng=rng)
+    seen = orientation.cone_rotation(config.orientation.cone_deg, rng=rng)
+    return seen if hand == "right" else orientation.mirror_rotation(seen)
+
+
+def _sided(pose: Array, hand: Hand) -> Array:
+    return pose if hand == "right" else pose * MIRROR
+
+
+def _subject(config: Config, person: _Person, hand: Hand, pose: Array) -> HandSubject:
+    return HandSubject(
+        subject_id=person.subject_id,
+        model=config.model.name,
+        hand=hand,
+        shape=_short(person.shape),
+        pose=tuple(_vec3(row) for row in pose),
+        translation_m=(0.0, 0.0, 0.0),
+        wrist=(0.0, 0.0, 0.0),
+        elbow=(0.0, 0.0, 0.0),
+        skin=person.skin,
+    )
+
+
+def _short(values: Array) -> tuple[float, ...]:
+    return tuple(round(float(v), 9) for v in values)
+
+
+def _vec3(values: Array) -> Vec3:
+    a, b, c = _short(values)
+    return a, b, c
+
+
+def _centred(model: ManoModel, subject: HandSubject, centre: Array) -> HandSubject:
+    points = _hand_points(model, subject)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return replace(subject, translation_m=_vec3(centre - middle))
+
+
+def _hand_points(model: ManoModel, subject: HandSubject) -> Array:
+    posed = model.evaluate(
+        np.array([subject.shape]), np.array([subject.pose]), np.array([subject.translation_m])
+    )
+    return np.asarray(posed.vertices[0], dtype=np.float64)
+
+
+def _cameras(
+    config: Config,
+    model: ManoModel,
+    subject: HandSubject,
+    first_view: Array,
+    rng: np.random.Generator,
+) -> tuple[tuple[Camera, ...], dict[str, float | int | str]]:
+    points = _hand_points(model, subject)
+    cameras: list[Camera] = []
+    factors: dict[str, float | int | str] = {}
+    for number in range(config.camera.views):
+        view = first_view if number == 0 else placement.sample_view(rng=rng)
+        lens = placement.sample_lens(
+            config.render.width, config.render.height, config.camera.fov_deg, rng=rng
+        )
+        fill = float(rng.uniform(*config.camera.fill))
+        offset = rng.uniform(-config.camera.offset, config.camera.offset, 2)
+        transform, distance = placement.camera_position(points, lens, fill, offset, view)
+        cameras.append(lens.camera(transform))
+        if number == 0:
+            factors = {"fov_deg": lens.fov_deg, "fill": fill, "distance_m": distance}
+    return tuple(cameras), {k: round(float(v), 6) for k, v in factors.items()}
+
+
+def _arm(
+    model: ManoModel, subject: HandSubject, cameras: tuple[Camera, ...], rng: np.random.Generator
+) -> tuple[HandSubject, Array] | None:
+    assert model.surface is not None
+    n_hand, end = model.surface.n_hand_vertices, model.surface.arm.end_ids
+    for _ in range(placement.ARM_TRIES):
+        wrist, elbow = placement.sample_arm(rng=rng)
+        tried = replace(subject, wrist=_vec3(np.array(wrist)), elbow=_vec3(np.array(elbow)))
+        surface = surface_of(model, tried)
+        if placement.arm_leaves_frame(surface[end], surface[n_hand:], cameras):
+            return tried, surface
+    return None
+
+
+def surface_of(model: ManoModel, subject: HandSubject) -> Array:
+    """Return a subject's surface vertices (S, 3), hand then arm, world, metres."""
+    surface, _ = pose_surface(
+        model,
+        np.array(subject.shape),
+        np.array(subject.pose),
+        np.array(subject.translation_m),
+        np.array(subject.wrist),
+        np.array(subject.elbow),
+    )
+    return np.asarray(surface, dtype=np.float64)
+
+
+def _surroundings(
+    config: Config, placed: _Placed, streams: Streams
+) -> tuple[tuple[str, lighting.Lights], tuple[str, lighting.Background]]:
+    light_rng, wall_rng = streams("light"), streams("background")
+    light = _choose(config.light.weights(), light_rng)
+    wall = _choose(config.background.weights(), wall_rng)
+    centre = placed.surface.mean(axis=0)
+    eyes = np.array([np.array(c.T_world_from_camera)[:3, 3] for c in placed.cameras])
+    lights = lighting.sample_lights(light, centre, eyes[0], rng=light_rng)
+    subject_m = float(np.linalg.norm(centre - eyes[0]))
+    behind = placement.depth_behind(placed.surface, placed.cameras[0]) - subject_m
+    farthest = float(np.linalg.norm(eyes - centre, axis=1).max())
+    background = lighting.sample_background(wall, centre, behind, farthest, rng=wall_rng)
+    return (light, lights), (wall, background)
+
+
+def _choose(weights: dict[str, float], rng: np.random.Generator) -> str:
+    names = sorted(weights)
+    total = sum(weights.values())
+    if total <= 0:
+        raise SamplingError(f"all weights of {names} are 0; give at least one a positive weight")
+    edges = np.cumsum([weights[name] for name in names]) / total
+    return names[min(int(np.searchsorted(edges, rng.random(), side="right")), len(names) - 1)]
+
+
+def _render_settings(config: Config, rng: np.random.Generator) -> RenderSettings:
+    return RenderSettings(
+        quality=config.render.quality,
+        spp=config.render.spp,
+        max_depth=config.render.max_depth,
+        seed=int(rng.integers(2**31)),
+    )
