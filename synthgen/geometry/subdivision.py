@@ -82,7 +82,7 @@ class InterpolatingSubdivision:
         for _ in range(levels):
             step, midpoints, current = _refine(current, smooth.shape[0])
             smooth, flat = (step @ smooth).tocsr(), (midpoints @ flat).tocsr()
-            corners = np.einsum("cij,njk->ncik", _CHILDREN, corners).reshape(-1, 3, 3)
+            corners = np.einsum("dij,cjk->cdik", _CHILDREN, corners).reshape(-1, 3, 3)
         through = linalg.splu(smooth[:n_vertices].tocsc())
         return InterpolatingSubdivision(current, corners, smooth, flat, through.solve)
 

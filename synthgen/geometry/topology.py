@@ -28,13 +28,8 @@ def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
     ShapeError
         If a boundary vertex belongs to several loops (the surface touches itself in a point).
     """
-    f = np.asarray(faces, dtype=np.int64)
-    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-    present = {(int(a), int(b)) for a, b in directed}
     following: dict[int, int] = {}
-    for a, b in sorted(present):
-        if (b, a) in present:
-            continue
+    for a, b in boundary_edges(faces).tolist():
         if a in following:
             raise ShapeError(f"vertex {a} lies on several boundary loops; split it first")
         following[a] = b
@@ -45,3 +40,12 @@ def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
             loop.append(step)
         loops.append(np.array(loop, dtype=np.int64))
     return sorted(loops, key=len, reverse=True)
+
+
+def boundary_edges(faces: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the directed edges (n, 2) of faces (F, 3) that no other face runs back along."""
+    f = np.asarray(faces, dtype=np.int64)
+    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    present = {(int(a), int(b)) for a, b in directed}
+    open_ = sorted((a, b) for a, b in present if (b, a) not in present)
+    return np.array(open_, dtype=np.int64).reshape(-1, 2)

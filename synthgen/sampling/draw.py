@@ -260,6 +260,8 @@ def _surroundings(
     light_rng, wall_rng = streams("light"), streams("background")
     light = _choose(config.light.weights(), light_rng)
     wall = _choose(config.background.weights(), wall_rng)
+    if wall == "room" and light == "constant":
+        light = "room"  # no surround shines into a closed room
     centre = placed.surface.mean(axis=0)
     eyes = np.array([np.array(c.T_world_from_camera)[:3, 3] for c in placed.cameras])
     lights = lighting.sample_lights(light, centre, eyes[0], rng=light_rng)

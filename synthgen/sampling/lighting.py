@@ -31,7 +31,7 @@ def sample_lights(
         return Lights(constant_rgb=_tint(rng.uniform(0.6, 1.0), rng))
     if kind == "area":
         lamp = _lamp(subject, camera, rng.uniform(1.5, 4.0), rng=rng)
-        return Lights(constant_rgb=_tint(rng.uniform(0.15, 0.5), rng), area=(lamp,))
+        return Lights(constant_rgb=_tint(rng.uniform(0.25, 0.6), rng), area=(lamp,))
     lamps = tuple(_ceiling_lamp(subject, share, rng=rng) for share in (2.6, 1.2))
     return Lights(constant_rgb=(0.0, 0.0, 0.0), area=lamps)
 
@@ -105,5 +105,5 @@ def sample_background(
 
 
 def _wall_colour(rng: np.random.Generator) -> Vec3:
-    lab = np.array([rng.uniform(20, 90), rng.normal(0, 14), rng.normal(0, 18)])
+    lab = np.array([rng.uniform(20, 88), rng.normal(0, 7), rng.normal(3, 10)])
     return rounded(linear_rgb_from_lab(lab))

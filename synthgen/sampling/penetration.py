@@ -1,7 +1,7 @@
 """Self-penetration of a posed hand: how deep one part's surface lies inside another part.
 
 The hand is cut into six solids, the palm and five fingers; each solid is the part's own faces,
-its openings closed by fans. Points near a solid along the surface (its web) are left out, since
+each opening closed by a cone. Points near a solid along the surface (its web) are left out, since
 neighbouring skin always folds into it a little.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from synthgen.geometry.topology import boundary_loops
+from synthgen.geometry.topology import boundary_edges
 from synthgen.models import ManoModel
 
 # Points closer than this along the surface belong to the fold between two parts, metres.
@@ -81,12 +81,14 @@ def _solid(
     ids = np.unique(faces)
     reach = csgraph.dijkstra(along, directed=False, indices=ids, limit=FOLD_M, min_only=True)
     probes = np.flatnonzero(np.isinf(reach) & (part != own))
-    fans = tuple(np.asarray(loop, dtype=np.int64) for loop in boundary_loops(faces))
-    closing = [
-        np.stack([np.roll(loop, -1), loop, np.full(len(loop), -1 - k)], axis=1)
-        for k, loop in enumerate(fans)
-    ]
-    return _Solid(faces, np.concatenate([faces, *closing]), fans, probes)
+    edges = boundary_edges(faces)
+    n = int(faces.max()) + 1
+    touch = sparse.coo_matrix((np.ones(len(edges)), edges.T), (n, n))
+    hole = csgraph.connected_components(touch, directed=False)[1][edges[:, 0]]
+    fans = tuple(np.unique(edges[hole == h]) for h in np.unique(hole))
+    apex = -1 - np.unique(hole, return_inverse=True)[1]
+    closing = np.stack([edges[:, 1], edges[:, 0], apex], axis=1)
+    return _Solid(faces, np.concatenate([faces, closing]), fans, probes)
 
 
 def _edge_graph(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> sparse.csr_matrix:

@@ -1,0 +1,69 @@
+"""What a verb hands back, and how it is printed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import typer
+
+DONE, FAILED, WRONG, WORK_LEFT = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of a verb.
+
+    Attributes
+    ----------
+    payload : dict
+        JSON types; printed by ``--json``.
+    lines : sequence of str
+        The same for people.
+    code : int
+        Exit code: 0 done, 1 a check failed, 2 wrong use or bad input, 3 work left.
+    """
+
+    payload: dict[str, Any]
+    lines: Sequence[str] = field(default=())
+    code: int = DONE
+
+    def emit(self, as_json: bool) -> int:
+        """Print to stdout and return the exit code."""
+        if as_json:
+            typer.echo(json.dumps(self.payload, ensure_ascii=False, allow_nan=False))
+        else:
+            for line in self.lines:
+                typer.echo(line)
+        return self.code
+
+
+@contextlib.contextmanager
+def stdout_kept_clean(wanted: bool) -> Iterator[None]:
+    """Send to stderr whatever libraries print, native ones included, so that JSON stands alone."""
+    if not wanted:
+        yield
+        return
+    sys.stdout.flush()
+    saved = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+def columns(rows: Sequence[Sequence[object]]) -> list[str]:
+    """Lay out rows of equal length in aligned columns."""
+    words = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*words, strict=True)]
+    return [
+        "  ".join(w.ljust(n) for w, n in zip(row, widths, strict=True)).rstrip() for row in words
+    ]

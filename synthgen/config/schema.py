@@ -1,0 +1,183 @@
+"""The schema of a configuration: what may be set, in which unit and range, and what it means.
+
+The docstring under a field is its documentation, printed by ``synthgen config schema``.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from synthgen.config.sections import FillRange, FovRange, Section, UnitRange, Weight, Weighted
+
+Column = Literal["image", "depth", "labels", "meta", "exr"]
+COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr")
+
+
+class ModelSettings(Section):
+    """Which hand."""
+
+    name: str = Field(default="cc0-hand", min_length=1, max_length=4096)
+    """Name of a hand model (``synthgen models list``) or path of a MANO ``.npz``, ``.pkl``."""
+
+    hands: Literal["both", "left", "right"] = "both"
+    """Side: ``both`` draws left and right with equal chance."""
+
+
+class SubjectSettings(Section):
+    """Whose hands."""
+
+    count: int | None = Field(default=None, ge=1, le=10**9)
+    """Number of different people (shape and skin); null gives every sample its own."""
+
+
+class ShapeSettings(Section):
+    """Shape of the hand: betas, independent normal, truncated."""
+
+    sigma: float = Field(default=1.0, gt=0.0, le=3.0)
+    """Standard deviation of each beta before truncation; 1 is the model's population."""
+
+    limit: float = Field(default=3.0, gt=0.0, le=5.0)
+    """Largest absolute beta."""
+
+
+class PoseSettings(Section):
+    """Pose of the fingers, always within the model's joint limits."""
+
+    gmm_share: float = Field(default=0.7, ge=0.0, le=1.0)
+    """Share of poses from the Gaussian mixture; the rest are uniform over the joint limits."""
+
+    gmm_components: int = Field(default=10, ge=1, le=50)
+    """Number of Gaussians, fitted to the pose table in the model's file."""
+
+    pca_components: int = Field(default=15, ge=1, le=45)
+    """Leading principal components of the pose in which the mixture lives."""
+
+    penetration_limit_m: float = Field(default=0.003, ge=0.0, le=0.02)
+    """Deepest allowed self-penetration, metres; deeper poses are drawn again."""
+
+
+class OrientationSettings(Section):
+    """How the hand is turned towards the first camera."""
+
+    mode: Literal["uniform", "cone"] = "uniform"
+    """``uniform`` on SO(3), or the back of the hand within a ``cone`` about the camera."""
+
+    cone_deg: float = Field(default=60.0, gt=0.0, le=180.0)
+    """Half angle of the cone, degrees; used with mode ``cone``."""
+
+
+class CameraSettings(Section):
+    """Where the cameras are and what they see."""
+
+    views: int = Field(default=1, ge=1, le=16)
+    """Number of cameras around the hand."""
+
+    fov_deg: FovRange = (25.0, 60.0)
+    """Field of view over the longer side of the frame, degrees, [lowest, highest]."""
+
+    fill: FillRange = (0.5, 0.85)
+    """Share of the frame's shorter side that the hand spans, [lowest, highest]."""
+
+    offset: float = Field(default=0.06, ge=0.0, le=0.5)
+    """Largest offset of the hand's centre from the image centre, as a share of the frame."""
+
+
+class LightSettings(Weighted):
+    """Weights of the kinds of light."""
+
+    constant: Weight = 0.2
+    """Even light from everywhere."""
+
+    area: Weight = 0.5
+    """One square lamp and a dim surround."""
+
+    room: Weight = 0.3
+    """Two lamps near the ceiling, no surround."""
+
+
+class BackgroundSettings(Weighted):
+    """Weights of the kinds of background."""
+
+    plain: Weight = 0.3
+    """A wall of one colour."""
+
+    procedural: Weight = 0.5
+    """A wall with a procedural texture."""
+
+    room: Weight = 0.2
+    """A box-shaped room around hand and cameras."""
+
+
+class SkinSettings(Section):
+    """Look of the skin."""
+
+    tones: UnitRange = (0.0, 1.0)
+    """Range of skin tones, 0 the lightest to 1 the darkest; uniform in it, [lowest, highest]."""
+
+
+class RenderSettings(Section):
+    """Size and effort of a picture."""
+
+    width: int = Field(default=256, ge=16, le=8192)
+    """Width, pixels."""
+
+    height: int = Field(default=256, ge=16, le=8192)
+    """Height, pixels."""
+
+    spp: int = Field(default=16, ge=1, le=4096)
+    """Light paths per pixel; labels always come from one ray through the pixel's centre."""
+
+    quality: Literal["plain"] = "plain"
+    """Look of materials and sensor."""
+
+    max_depth: int = Field(default=4, ge=2, le=32)
+    """Longest light path, segments; 2 is direct light only."""
+
+    variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
+    """Mitsuba variant; ``auto`` takes CUDA where it works and LLVM elsewhere."""
+
+
+def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    missing = [name for name in COLUMNS[:4] if name not in columns]
+    if missing:
+        raise ValueError(f"{', '.join(missing)} missing; only exr may be left out")
+    if len(set(columns)) != len(columns):
+        raise ValueError("a column is named twice")
+    return tuple(name for name in COLUMNS if name in columns)
+
+
+class CorpusSettings(Section):
+    """How the corpus is stored."""
+
+    shard_size: int = Field(default=250, ge=1, le=100_000)
+    """Samples per shard: the unit of work, of commit and of resuming."""
+
+    columns: Annotated[tuple[Column, ...], AfterValidator(_columns)] = COLUMNS[:4]
+    """What is written: image, depth, labels and meta always, exr (linear, float depth) if asked."""
+
+    jpeg_quality: int = Field(default=95, ge=50, le=100)
+    """Quality of the JPEG pictures, percent."""
+
+
+class Config(Section):
+    """Everything that decides a corpus; with the seed it decides every byte."""
+
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    """Seed of every random stream; 0 is a seed like any other."""
+
+    samples: int = Field(default=32, ge=1, le=10**9)
+    """Number of samples; not part of the hash, so a corpus can grow."""
+
+    model: ModelSettings = ModelSettings()
+    subjects: SubjectSettings = SubjectSettings()
+    shape: ShapeSettings = ShapeSettings()
+    pose: PoseSettings = PoseSettings()
+    orientation: OrientationSettings = OrientationSettings()
+    camera: CameraSettings = CameraSettings()
+    light: LightSettings = LightSettings()
+    background: BackgroundSettings = BackgroundSettings()
+    skin: SkinSettings = SkinSettings()
+    render: RenderSettings = RenderSettings()
+    corpus: CorpusSettings = CorpusSettings()

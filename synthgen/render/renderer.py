@@ -1,0 +1,115 @@
+"""Render samples: labels first, then the picture; scenes persist between samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.geometry.cameras import Camera
+from synthgen.models import ManoModel, Posed, load, openpose21, pose_surface
+from synthgen.render import backend
+from synthgen.render.labels import Labels, label_view
+from synthgen.render.sensor import develop
+from synthgen.render.upload import LiveScene
+from synthgen.render.visibility import VISIBLE, HandLabels, label_hand
+from synthgen.sampling.spec import SampleSpec
+from synthgen.scene import HandSubject
+
+# A sample is rejected when a hand covers less of the picture, or shows fewer keypoints.
+SMALLEST_SHARE = 0.015
+FEWEST_VISIBLE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """Everything that one camera yields.
+
+    ``linear`` (H, W, 3) float32 radiance and ``image`` (H, W, 3) uint8 sRGB are None where only
+    labels were asked for; ``exposure`` is the factor between them.
+    """
+
+    camera: Camera
+    labels: Labels
+    hands: tuple[HandLabels, ...]
+    linear: NDArray[np.float32] | None
+    image: NDArray[np.uint8] | None
+    exposure: float
+
+
+class Renderer:
+    """Renders samples one after the other; holds one Mitsuba scene per structure.
+
+    Parameters
+    ----------
+    variant : {"auto", "llvm_ad_rgb", "cuda_ad_rgb"}
+        See :func:`synthgen.render.backend.activate`.
+    """
+
+    def __init__(self, variant: str = "auto") -> None:
+        self.variant = backend.activate(variant)
+        self._scenes: dict[Any, LiveScene] = {}
+
+    def render(self, spec: SampleSpec) -> list[RenderedView]:
+        """Return labels and pictures of every view of a sample."""
+        live, posed = self._upload(spec)
+        views = []
+        for number, camera in enumerate(spec.scene.cameras):
+            seed = (spec.render.seed + 7919 * number) % 2**31
+            linear = live.radiance(camera, spec.render.spp, spec.render.max_depth, seed)
+            image, exposure = develop(linear)
+            views.append(self._view(live, posed, camera, linear, image, exposure))
+        return views
+
+    def labels(self, spec: SampleSpec) -> list[RenderedView]:
+        """Return labels alone, a small part of the cost."""
+        live, posed = self._upload(spec)
+        return [self._view(live, posed, c, None, None, 1.0) for c in spec.scene.cameras]
+
+    def check(self, spec: SampleSpec) -> str | None:
+        """Return why a sample must be drawn again, or None; needs labels alone."""
+        for number, view in enumerate(self.labels(spec)):
+            for k, hand in enumerate(view.hands):
+                own = (view.labels.instance_id == k + 1) & (view.labels.part_id <= 16)
+                share = float(own.mean())
+                if share < SMALLEST_SHARE:
+                    return f"view {number}: hand {k} covers {share:.4f} of the picture"
+                if np.sum(hand.keypoints_state == VISIBLE) < FEWEST_VISIBLE:
+                    return f"view {number}: hand {k} shows fewer than {FEWEST_VISIBLE} keypoints"
+        return None
+
+    def _upload(self, spec: SampleSpec) -> tuple[LiveScene, list[Posed]]:
+        scene = spec.scene
+        models = tuple(load(s.model, hand=s.hand) for s in scene.subjects)
+        first = scene.cameras[0]
+        key = (tuple((m.digest, m.hand) for m in models), len(scene.lights.area), first.width,
+               first.height)  # fmt: skip
+        if key not in self._scenes:
+            self._scenes[key] = LiveScene(models, len(scene.lights.area), first.width, first.height)
+        live = self._scenes[key]
+        results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
+        live.update(scene, [surface for surface, _ in results])
+        return live, [posed for _, posed in results]
+
+    def _view(
+        self, live: LiveScene, posed: list[Posed], camera: Camera,
+        linear: NDArray[np.float32] | None, image: NDArray[np.uint8] | None, exposure: float,
+    ) -> RenderedView:  # fmt: skip
+        hands = tuple(
+            label_hand(live, k, openpose21(m, p)[0].astype(np.float64), camera)
+            for k, (m, p) in enumerate(zip(live.models, posed, strict=True))
+        )
+        return RenderedView(camera, label_view(live, camera), hands, linear, image, exposure)
+
+
+def _pose(model: ManoModel, subject: HandSubject) -> tuple[NDArray[np.float32], Posed]:
+    return pose_surface(
+        model,
+        np.array(subject.shape),
+        np.array(subject.pose),
+        np.array(subject.translation_m),
+        np.array(subject.wrist),
+        np.array(subject.elbow),
+    )
