@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from synthgen.config.explain import explain
 from synthgen.config.presets import find_config
-from synthgen.config.reading import MAX_DEPTH, parse_yaml, read_yaml
+from synthgen.config.reading import MAX_DEPTH, parse_yaml, plain_value, read_yaml
 from synthgen.config.schema import Config
 from synthgen.errors import ConfigError
 
@@ -89,6 +89,14 @@ class _Dumper(yaml.SafeDumper):
     def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> Any:
         """Keep mappings in block style."""
         return super().represent_mapping(tag, mapping, flow_style=False)
+
+    def represent_str(self, data: str) -> Any:
+        """Quote words that our reader, which is not PyYAML's, would take for something else."""
+        style = None if isinstance(plain_value(data), str) else "'"
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+
+
+_Dumper.add_representer(str, _Dumper.represent_str)
 
 
 def _read_extended(path: Path, above: tuple[Path, ...], origins: Origins) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def parse_yaml(text: str, source: str) -> Document:
     ConfigError
     """
     try:
-        _refuse_aliases_and_depth(text, source)
+        _refuse_what_is_not_plain(text, source)
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.YAMLError as error:
         raise ConfigError(f"{_where(source, error)}: unreadable YAML: {_problem(error)}") from None
@@ -78,7 +78,7 @@ def parse_yaml(text: str, source: str) -> Document:
     return Document(content, lines)
 
 
-def _refuse_aliases_and_depth(text: str, source: str) -> None:
+def _refuse_what_is_not_plain(text: str, source: str) -> None:
     """Walk the events before anything is built, so that neither bombs nor towers get far."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
@@ -88,6 +88,9 @@ def _refuse_aliases_and_depth(text: str, source: str) -> None:
                 f"{source}, line {line}: anchors and aliases (&, *) are not read; "
                 "write the value out or use `extends`"
             )
+        tag = getattr(event, "tag", None)
+        if tag is not None and tag != "!":
+            raise ConfigError(f"{source}, line {line}: the tag {tag} is not read; remove it")
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
@@ -97,9 +100,6 @@ def _refuse_aliases_and_depth(text: str, source: str) -> None:
 
 
 def _value(node: yaml.Node, key: str, lines: dict[str, int], source: str) -> Any:
-    if not node.tag.startswith("tag:yaml.org,2002:"):
-        line = node.start_mark.line + 1
-        raise ConfigError(f"{source}, line {line}: the tag {node.tag} is not read; remove it")
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, key, lines, source)
     if isinstance(node, yaml.SequenceNode):
@@ -128,17 +128,23 @@ def _scalar(node: yaml.Node, source: str) -> Any:
     text = str(node.value)
     if node.style in ("'", '"', "|", ">"):  # type: ignore[attr-defined]
         return text
+    value = plain_value(text)
+    if isinstance(value, float) and not math.isfinite(value):
+        line = node.start_mark.line + 1
+        raise ConfigError(f"{source}, line {line}: {text} is too large for a number")
+    return value
+
+
+def plain_value(text: str) -> Any:
+    """Return what an unquoted scalar means: null, true or false, a number, or itself."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
         return text.lower() == "true"
-    is_int = _INT.fullmatch(text) is not None
-    if (is_int or _FLOAT.fullmatch(text)) and len(text) <= MAX_DIGITS:
-        number = int(text) if is_int else float(text)
-        if not math.isfinite(number):
-            line = node.start_mark.line + 1
-            raise ConfigError(f"{source}, line {line}: {text} is too large for a number")
-        return number
+    if len(text) <= MAX_DIGITS and _INT.fullmatch(text):
+        return int(text)
+    if len(text) <= MAX_DIGITS and _FLOAT.fullmatch(text):
+        return float(text)
     return text
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,30 +55,53 @@ class Renderer:
     def render(self, spec: SampleSpec) -> list[RenderedView]:
         """Return labels and pictures of every view of a sample."""
         live, posed = self._upload(spec)
-        views = []
-        for number, camera in enumerate(spec.scene.cameras):
-            seed = (spec.render.seed + 7919 * number) % 2**31
-            linear = live.radiance(camera, spec.render.spp, spec.render.max_depth, seed)
-            image, exposure = develop(linear)
-            views.append(self._view(live, posed, camera, linear, image, exposure))
-        return views
+        return self._develop(live, spec, self._label(live, posed, spec))
 
     def labels(self, spec: SampleSpec) -> list[RenderedView]:
         """Return labels alone, a small part of the cost."""
         live, posed = self._upload(spec)
-        return [self._view(live, posed, c, None, None, 1.0) for c in spec.scene.cameras]
+        return self._label(live, posed, spec)
+
+    def attempt(self, spec: SampleSpec) -> tuple[str | None, list[RenderedView]]:
+        """Label a sample and, unless it must be drawn again, render it.
+
+        Returns
+        -------
+        reason : str or None
+            Why it was rejected; nothing is rendered then.
+        views : list of RenderedView
+        """
+        live, posed = self._upload(spec)
+        views = self._label(live, posed, spec)
+        reason = rejection(views)
+        return (reason, []) if reason else (None, self._develop(live, spec, views))
 
     def check(self, spec: SampleSpec) -> str | None:
         """Return why a sample must be drawn again, or None; needs labels alone."""
-        for number, view in enumerate(self.labels(spec)):
-            for k, hand in enumerate(view.hands):
-                own = (view.labels.instance_id == k + 1) & (view.labels.part_id <= 16)
-                share = float(own.mean())
-                if share < SMALLEST_SHARE:
-                    return f"view {number}: hand {k} covers {share:.4f} of the picture"
-                if np.sum(hand.keypoints_state == VISIBLE) < FEWEST_VISIBLE:
-                    return f"view {number}: hand {k} shows fewer than {FEWEST_VISIBLE} keypoints"
-        return None
+        return rejection(self.labels(spec))
+
+    def _label(
+        self, live: LiveScene, posed: list[Posed], spec: SampleSpec
+    ) -> list[RenderedView]:
+        views = []
+        for camera in spec.scene.cameras:
+            hands = tuple(
+                label_hand(live, k, openpose21(m, p)[0].astype(np.float64), camera)
+                for k, (m, p) in enumerate(zip(live.models, posed, strict=True))
+            )
+            views.append(RenderedView(camera, label_view(live, camera), hands, None, None, 1.0))
+        return views
+
+    def _develop(
+        self, live: LiveScene, spec: SampleSpec, views: list[RenderedView]
+    ) -> list[RenderedView]:
+        done = []
+        for number, view in enumerate(views):
+            seed = (spec.render.seed + 7919 * number) % 2**31
+            linear = live.radiance(view.camera, spec.render.spp, spec.render.max_depth, seed)
+            image, exposure = develop(linear)
+            done.append(replace(view, linear=linear, image=image, exposure=exposure))
+        return done
 
     def _upload(self, spec: SampleSpec) -> tuple[LiveScene, list[Posed]]:
         scene = spec.scene
@@ -93,15 +116,18 @@ class Renderer:
         live.update(scene, [surface for surface, _ in results])
         return live, [posed for _, posed in results]
 
-    def _view(
-        self, live: LiveScene, posed: list[Posed], camera: Camera,
-        linear: NDArray[np.float32] | None, image: NDArray[np.uint8] | None, exposure: float,
-    ) -> RenderedView:  # fmt: skip
-        hands = tuple(
-            label_hand(live, k, openpose21(m, p)[0].astype(np.float64), camera)
-            for k, (m, p) in enumerate(zip(live.models, posed, strict=True))
-        )
-        return RenderedView(camera, label_view(live, camera), hands, linear, image, exposure)
+
+def rejection(views: list[RenderedView]) -> str | None:
+    """Return why labelled views make a bad sample, or None."""
+    for number, view in enumerate(views):
+        for k, hand in enumerate(view.hands):
+            own = (view.labels.instance_id == k + 1) & (view.labels.part_id <= 16)
+            share = float(own.mean())
+            if share < SMALLEST_SHARE:
+                return f"view {number}: hand {k} covers {share:.4f} of the picture"
+            if np.sum(hand.keypoints_state == VISIBLE) < FEWEST_VISIBLE:
+                return f"view {number}: hand {k} shows fewer than {FEWEST_VISIBLE} keypoints"
+    return None
 
 
 def _pose(model: ManoModel, subject: HandSubject) -> tuple[NDArray[np.float32], Posed]:

@@ -34,7 +34,7 @@ def test_reference_installed_data_come_first(
 
 @pytest.mark.parametrize("name", ["hand_rgb", "nothing.yaml", "no/such"])
 def test_edge_missing(name: str) -> None:
-    with pytest.raises(ConfigError, match="hand_rgbd|no configuration file"):
+    with pytest.raises(ConfigError, match=r"hand_rgbd|no configuration file"):
         find_config(name)
 
 

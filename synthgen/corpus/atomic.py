@@ -1,0 +1,79 @@
+"""Writing files so that they are either whole or absent, also when the process dies."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+from synthgen.errors import CorpusError
+
+
+def commit(path: Path, data: bytes) -> bool:
+    """Create a file that must not exist yet: temporary file, fsync, link.
+
+    Returns
+    -------
+    bool
+        False where somebody else committed it first (their content stays).
+
+    Raises
+    ------
+    CorpusError
+        If the disk is full or the folder cannot be written; nothing is left behind.
+    """
+    temporary = _write_beside(path, data)
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        return False
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync_folder(path.parent)
+    return True
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Write a file that may exist: readers see the old content or the new, nothing between."""
+    temporary = _write_beside(path, data)
+    os.replace(temporary, path)
+    _sync_folder(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Create a folder and its parents.
+
+    Raises
+    ------
+    CorpusError
+        If it cannot be created or written to.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CorpusError(f"cannot create the folder {path}: {error.strerror}") from None
+    if not os.access(path, os.W_OK):
+        raise CorpusError(f"the folder {path} cannot be written; choose another --out")
+
+
+def _write_beside(path: Path, data: bytes) -> Path:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        hint = "free some space and run the same command again" if full else "check its rights"
+        raise CorpusError(f"cannot write {path}: {error.strerror}; {hint}") from None
+    return temporary
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,104 @@
+"""Opening a corpus."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from synthgen.corpus import manifest, shards
+from synthgen.corpus.columns import key_of
+from synthgen.corpus.sample import Sample, View
+from synthgen.corpus.shards import Entry
+from synthgen.errors import CorpusError, IntegrityError
+from synthgen.sampling.spec import SampleSpec
+
+
+class Corpus:
+    """A finished corpus: a sequence of samples, and a table with a row per sample and view."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.manifest = _read_manifest(path)
+        self._sidecars = {
+            entry["shard"]: shards.read_sidecar(path, entry["shard"])
+            for entry in self.manifest["shards"]
+        }
+        self._shard_of = {
+            index: shard for shard, sidecar in self._sidecars.items() for index in sidecar["samples"]
+        }
+        self._indices = sorted(self._shard_of)
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, position: int) -> Sample:
+        try:
+            index = self._indices[position]
+        except IndexError:
+            raise IndexError(f"sample {position} of a corpus of {len(self)}") from None
+        shard = self._shard_of[index]
+        members = self._sidecars[shard]["columns"]["meta"]["members"]
+        views = []
+        while (name := f"{key_of(index, len(views))}.json") in members:
+            views.append(self._view(shard, name))
+        if not views:
+            raise IntegrityError(f"sample {index} has no meta in shard {shard}")
+        spec = SampleSpec.from_json(views[0].meta["spec"])
+        return Sample(index=index, views=tuple(views), spec=spec)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[k] for k in range(len(self)))
+
+    def _view(self, shard: int, name: str) -> View:
+        def fetch(column: str, member: str) -> bytes:
+            offset, size = self._sidecars[shard]["columns"][column]["members"][member]
+            return shards.read_member(self.path, column, shard, Entry(offset, size))
+
+        try:
+            meta: dict[str, Any] = json.loads(fetch("meta", name))
+        except ValueError as error:
+            raise IntegrityError(f"{name} in shard {shard} is damaged ({error})") from None
+        return View(meta, fetch)
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """One row per sample and view: key, shard, sampled factors, visibility counts."""
+        return pq.read_table(self.path / manifest.TABLE)
+
+    @property
+    def shard_numbers(self) -> list[int]:
+        """Numbers of the shards."""
+        return sorted(self._sidecars)
+
+
+def open_corpus(path: str | Path) -> Corpus:
+    """Open a corpus folder.
+
+    Raises
+    ------
+    CorpusError
+        If the folder holds no finished corpus.
+    IntegrityError
+        If a shard's files are missing or have other sizes than recorded.
+    """
+    return Corpus(Path(path))
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / manifest.MANIFEST
+    if not file.is_file():
+        raise CorpusError(
+            f"{path} holds no {manifest.MANIFEST}: not a corpus, or not finished; "
+            "`synthgen generate` with the same arguments finishes it"
+        )
+    try:
+        content: dict[str, Any] = json.loads(file.read_bytes())
+        return {**content, "shards": list(content["shards"])}
+    except (ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(f"{file} is damaged ({error})") from None

@@ -1,0 +1,304 @@
+"""Making a corpus: single-threaded worker processes, one shard at a time, resumable.
+
+Unit of work is the shard, a pure function of the plan. A worker claims it by a file lock that the
+kernel drops at any death, and commits it whole; the same command makes whatever is missing.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from synthgen.config import Config
+from synthgen.corpus import atomic, shards
+from synthgen.corpus.columns import Members, encode_view, key_of
+from synthgen.corpus.manifest import write_manifest
+from synthgen.corpus.plan import read_plan, write_plan
+from synthgen.errors import CorpusError, WorkLeft
+from synthgen.render.renderer import RenderedView
+from synthgen.sampling.spec import SampleSpec
+
+MAX_ATTEMPTS = 10
+MAX_DEATHS = 3
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+# Makes one attempt at a sample: why it must be drawn again, or None and its views.
+Attempt = Callable[[SampleSpec], tuple[str | None, list[RenderedView]]]
+Maker = Callable[[Config], Attempt]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did."""
+
+    out: str
+    samples: int
+    shards_made: int
+    shards_present: int
+    redrawn: int
+    bytes: int
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the summary as JSON types."""
+        return asdict(self)
+
+
+def render_attempts(config: Config) -> Attempt:
+    """Return the real maker: a renderer that persists for the life of the worker."""
+    from synthgen.render.renderer import Renderer
+
+    return Renderer(config.render.variant).attempt
+
+
+def generate(
+    config: Config,
+    out: Path,
+    *,
+    workers: int = 1,
+    shards_range: tuple[int, int] | None = None,
+    progress: bool = True,
+    maker: Maker = render_attempts,
+) -> Summary:
+    """Plan, render and store a corpus; resumes what is there.
+
+    Parameters
+    ----------
+    config : Config
+    out : Path
+        The corpus folder; created, or one that the same config began.
+    workers : int
+        Processes, each on one thread.
+    shards_range : (first, stop) or None
+        Make only these shards (for clusters); the manifest covers what is there.
+    progress : bool
+        Show a progress bar on a terminal.
+    maker : callable
+        Makes the function that renders; replaced in tests.
+
+    Raises
+    ------
+    CorpusError
+        If the folder is of another making, cannot be written, or a shard keeps killing workers.
+    WorkLeft
+        If the run was interrupted; the same command resumes.
+    """
+    if workers < 1:
+        raise CorpusError(f"workers={workers}; at least 1")
+    begun = time.monotonic()
+    try:
+        write_plan(config, out, progress=progress)
+        todo = _todo(config, out, shards_range)
+        present = len(shards.done_shards(out))
+        with _bar(progress, config, todo) as advance:
+            if workers == 1:
+                _work(config, out, todo, maker, advance)
+            else:
+                _supervise(config, out, todo, workers, maker, advance)
+    except KeyboardInterrupt:
+        raise WorkLeft(f"interrupted; run the same command to finish {out}") from None
+    write_manifest(out)
+    return _summary(config, out, present, time.monotonic() - begun)
+
+
+def _summary(config: Config, out: Path, present: int, seconds: float) -> Summary:
+    done = shards.done_shards(out)
+    sidecars = [shards.read_sidecar(out, k) for k in done]
+    return Summary(
+        out=str(out),
+        samples=sum(len(s["samples"]) for s in sidecars),
+        shards_made=len(done) - present,
+        shards_present=present,
+        redrawn=sum(len(s["redrawn"]) for s in sidecars),
+        bytes=sum(f["bytes"] for s in sidecars for f in s["columns"].values()),
+        seconds=round(seconds, 3),
+    )
+
+
+def _todo(config: Config, out: Path, wanted: tuple[int, int] | None) -> list[int]:
+    """Shards to make; a last one that was cut short by fewer samples is made again."""
+    for folder in (shards.SIDECARS, "claims", *config.corpus.columns):
+        atomic.make_folder(out / folder)
+    size, total = config.corpus.shard_size, -(-config.samples // config.corpus.shard_size)
+    for k in shards.done_shards(out):
+        if len(shards.read_sidecar(out, k)["samples"]) < min(size, config.samples - k * size):
+            shards.drop_shard(out, k)
+    first, stop = wanted or (0, total)
+    if not 0 <= first < stop:
+        raise CorpusError(f"shards {first}:{stop}; allowed are ranges within 0:{total}")
+    done = set(shards.done_shards(out))
+    return [k for k in range(first, min(stop, total)) if k not in done]
+
+
+@contextmanager
+def _bar(progress: bool, config: Config, todo: list[int]) -> Iterator[Callable[[int], None]]:
+    size = config.corpus.shard_size
+    samples = sum(min(size, config.samples - k * size) for k in todo)
+    console = Console(stderr=True)
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not (progress and console.is_terminal)) as bar:
+        task = bar.add_task("samples", total=samples)
+        yield lambda n: bar.advance(task, n)
+
+
+def _work(
+    config: Config, out: Path, todo: list[int], maker: Maker, advance: Callable[[int], None]
+) -> None:
+    attempt = maker(config) if todo else None
+    for shard in todo:
+        assert attempt is not None
+        make_shard(config, out, shard, attempt, advance)
+
+
+def make_shard(
+    config: Config, out: Path, shard: int, attempt: Attempt, advance: Callable[[int], None]
+) -> None:
+    """Make and commit one shard, unless another process holds or has made it."""
+    with open(out / "claims" / f"{shard:06d}", "w") as claim:
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return
+        if shards.sidecar_path(out, shard).exists():
+            return
+        first = shard * config.corpus.shard_size
+        stop = min(first + config.corpus.shard_size, config.samples)
+        columns: dict[str, Members] = {name: {} for name in config.corpus.columns}
+        redrawn: dict[str, list[str]] = {}
+        for spec in read_plan(out, first, stop):
+            made, views, reasons = _accepted(config, spec, attempt)
+            if reasons:
+                redrawn[str(spec.index)] = reasons
+            _collect(config, made, views, columns)
+            advance(1)
+        facts = {"samples": list(range(first, stop)), "redrawn": redrawn}
+        shards.commit_shard(out, shard, columns, facts)
+
+
+def _accepted(
+    config: Config, spec: SampleSpec, attempt: Attempt
+) -> tuple[SampleSpec, list[RenderedView], list[str]]:
+    """Try the planned sample, then redraws of it, until one is not rejected."""
+    from synthgen.sampling.draw import draw_sample
+
+    reasons: list[str] = []
+    for number in range(MAX_ATTEMPTS):
+        tried = spec if number == 0 else draw_sample(config, spec.index, attempt=number)
+        reason, views = attempt(tried)
+        if reason is None:
+            return tried, views, reasons
+        reasons.append(reason)
+    raise CorpusError(
+        f"sample {spec.index} was rejected {MAX_ATTEMPTS} times, at last because {reasons[-1]}; "
+        "change the configuration (camera.fill, orientation)"
+    )
+
+
+def _collect(
+    config: Config, spec: SampleSpec, views: list[RenderedView], columns: dict[str, Members]
+) -> None:
+    for number, view in enumerate(views):
+        encoded = encode_view(
+            spec, number, view, config.corpus.columns, config.corpus.jpeg_quality
+        )
+        key = key_of(spec.index, number)
+        for column, members in encoded.items():
+            columns[column].update({f"{key}.{s}": data for s, data in members.items()})
+
+
+def _supervise(
+    config: Config, out: Path, todo: list[int], workers: int, maker: Maker,
+    advance: Callable[[int], None],
+) -> None:  # fmt: skip
+    """Run workers until every shard is committed; replace those that die."""
+    context = multiprocessing.get_context("spawn")
+    results: Any = context.Queue()
+    with _single_threads():
+        running = [_start(context, config, out, todo, w, workers, maker, results)
+                   for w in range(min(workers, max(len(todo), 1)))]  # fmt: skip
+        deaths = 0
+        try:
+            while any(p.is_alive() for p in running):
+                _drain(results, advance)
+                for number, process in enumerate(running):
+                    if process.exitcode not in (None, 0, 2):
+                        deaths += 1
+                        _refuse_endless(deaths, process.exitcode, out)
+                        running[number] = _start(
+                            context, config, out, todo, number, workers, maker, results
+                        )
+                time.sleep(0.05)
+        finally:
+            for process in running:
+                process.terminate() if process.is_alive() else None
+                process.join()
+    message = _drain(results, advance)
+    if message:
+        raise CorpusError(message)
+
+
+def _refuse_endless(deaths: int, code: int | None, out: Path) -> None:
+    if deaths > MAX_DEATHS:
+        raise CorpusError(
+            f"workers died {deaths} times (last exit code {code}); {out} keeps what is committed. "
+            "Check memory, then run the same command again"
+        )
+
+
+def _start(
+    context: Any, config: Config, out: Path, todo: list[int], number: int, workers: int,
+    maker: Maker, results: Any,
+) -> Any:  # fmt: skip
+    turned = todo[number * len(todo) // workers :] + todo[: number * len(todo) // workers]
+    arguments = (config, out, turned, maker, results)
+    process = context.Process(target=_worker, args=arguments, daemon=True)
+    process.start()
+    return process
+
+
+def _worker(config: Config, out: Path, todo: list[int], maker: Maker, results: Any) -> None:
+    try:
+        _work(config, out, todo, maker, results.put)
+    except KeyboardInterrupt:
+        raise SystemExit(0) from None
+    except CorpusError as error:
+        results.put(str(error))
+        raise SystemExit(2) from None
+
+
+def _drain(results: Any, advance: Callable[[int], None]) -> str | None:
+    """Advance the bar by what workers report; return a worker's error message, if any."""
+    message = None
+    while not results.empty():
+        said = results.get()
+        if isinstance(said, str):
+            message = said
+        else:
+            advance(said)
+    if message:
+        results.put(message)
+    return message
+
+
+@contextmanager
+def _single_threads() -> Iterator[None]:
+    """Let child processes start with one thread per pool."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,252 @@
+"""Reading one sample: lazily decoded views, subjects recomputed from the stored truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.corpus.columns import DEPTH_STEP_M, decode_exr, decode_image
+from synthgen.errors import CorpusError
+from synthgen.models import ManoModel, load
+from synthgen.sampling.spec import SampleSpec
+from synthgen.scene import HandSubject
+
+Fetch = Callable[[str, str], bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewCamera:
+    """Calibration of a view: ``K`` (3, 3) px, ``T_world_from_camera`` (4, 4), distortion (5,)."""
+
+    K: NDArray[np.float64]
+    T_world_from_camera: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, eq=False)
+class HandView:
+    """Labels of one hand in one view; OpenPose-21 order.
+
+    ``keypoints_2d`` (21, 2) px, ``keypoints_3d`` (21, 3) metres in the camera's frame,
+    ``keypoints_state`` (21,): 0 out of the frame, 1 occluded, 2 visible; ``box_xyxy`` of the
+    visible hand, pixels inclusive, or None.
+    """
+
+    hand: str
+    instance_id: int
+    keypoints_2d: NDArray[np.float32]
+    keypoints_3d: NDArray[np.float32]
+    keypoints_state: NDArray[np.uint8]
+    box_xyxy: tuple[int, int, int, int] | None
+
+
+class Subject:
+    """The truth of one hand, world frame, metres; vertices are recomputed from parameters."""
+
+    def __init__(self, subject: HandSubject) -> None:
+        self._subject = subject
+        self.model = subject.model
+        self.hand = subject.hand
+        self.shape = np.array(subject.shape)
+        self.pose = np.array(subject.pose)
+        self.translation = np.array(subject.translation_m)
+
+    @property
+    def description(self) -> HandSubject:
+        """The subject as the plan describes it (skin, arm, identity)."""
+        return self._subject
+
+    @cached_property
+    def loaded(self) -> ManoModel:
+        """The model, on the right side."""
+        return load(self.model, hand=self._subject.hand)
+
+    @cached_property
+    def _posed(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        posed = self.loaded.evaluate(self.shape[None], self.pose[None], self.translation[None])
+        return posed.vertices[0], posed.joints[0]
+
+    @property
+    def vertices(self) -> NDArray[np.float32]:
+        """Posed vertices (V, 3) of the hand."""
+        return self._posed[0]
+
+    @property
+    def joints(self) -> NDArray[np.float32]:
+        """Posed joints (K, 3)."""
+        return self._posed[1]
+
+
+class View:
+    """One camera's picture and labels; every array is decoded when it is asked for."""
+
+    def __init__(self, meta: dict[str, Any], fetch: Fetch) -> None:
+        self.meta = meta
+        self._fetch = fetch
+        self.key: str = meta["key"]
+
+    def _image(self, column: str, suffix: str, channels: int) -> NDArray[Any]:
+        data = self._fetch(column, f"{self.key}.{suffix}")
+        image = decode_image(data, f"{self.key}.{suffix}", channels)
+        size = (self.meta["height"], self.meta["width"])
+        if image.shape[:2] != size:
+            raise CorpusError(f"{self.key}.{suffix} is {image.shape[:2]}; its camera is {size}")
+        return image
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) uint8, sRGB, as stored."""
+        return np.ascontiguousarray(self._image("image", "jpg", 3))
+
+    @cached_property
+    def linear(self) -> NDArray[np.float32] | None:
+        """Linear radiance (H, W, 3) where the corpus has an exr column, else None."""
+        try:
+            data = self._fetch("exr", f"{self.key}.exr")
+        except KeyError:
+            return None
+        return decode_exr(data)["RGB"].astype(np.float32)
+
+    @cached_property
+    def depth_z_m(self) -> NDArray[np.float32]:
+        """Depth (H, W) along the optical axis, metres, background included; 0 = nothing hit."""
+        steps = self._image("depth", "depth.png", 0)
+        return (steps * DEPTH_STEP_M).astype(np.float32)
+
+    @cached_property
+    def distance_m(self) -> NDArray[np.float32]:
+        """Distance (H, W) from the camera's centre, metres, from the stored depth."""
+        K = self.camera.K
+        v, u = np.mgrid[: self.meta["height"], : self.meta["width"]]
+        x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+        return (self.depth_z_m * np.sqrt(x * x + y * y + 1)).astype(np.float32)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where depth is known (H, W)."""
+        return self.depth_z_m > 0
+
+    @property
+    def sensor_depth_z_m(self) -> None:
+        """What a depth sensor would report; None: this corpus simulates none."""
+        return None
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """Normals (H, W, 3), camera frame, unit, towards the camera; stored to 3e-5."""
+        stored = self._image("labels", "normals.png", 3).astype(np.float64)
+        return (stored / 65534 * 2 - 1).astype(np.float32)
+
+    @cached_property
+    def part_id(self) -> NDArray[np.uint8]:
+        """Parts (H, W): 0 none, 1-16 the hand's joints in MANO order, 17 forearm."""
+        return self._image("labels", "part.png", 0)
+
+    @cached_property
+    def instance_id(self) -> NDArray[np.uint8]:
+        """Instances (H, W): 0 background, then subjects."""
+        return self._image("labels", "instance.png", 0)
+
+    @cached_property
+    def _faces(self) -> NDArray[np.uint16]:
+        return self._image("labels", "face.png", 3)
+
+    @property
+    def face_id(self) -> NDArray[np.int32]:
+        """Face of the model's surface (hand, then arm) per pixel (H, W), -1 off hands."""
+        return self._faces[..., 0].astype(np.int32) - 1
+
+    @property
+    def barycentric(self) -> NDArray[np.float32]:
+        """Barycentrics (H, W, 3) in that face; zero off hands; stored to 1e-5."""
+        first = self._faces[..., 1:].astype(np.float64) / 65535
+        on = (self._faces[..., :1] > 0).astype(np.float64)
+        third = np.clip(1 - first.sum(axis=-1, keepdims=True), 0, 1) * on
+        return np.concatenate([first, third], axis=-1).astype(np.float32)
+
+    @cached_property
+    def uv(self) -> NDArray[np.float32]:
+        """Texture coordinates (H, W, 2) on hands, origin bottom left."""
+        return (self._image("labels", "uv.png", 3)[..., :2] / 65535.0).astype(np.float32)
+
+    @cached_property
+    def camera(self) -> ViewCamera:
+        """Calibration of this view."""
+        m = self.meta
+        matrices = (np.array(m[k], np.float64) for k in ("K", "T_world_from_camera", "distortion"))
+        return ViewCamera(*matrices, width=m["width"], height=m["height"])
+
+    @cached_property
+    def hands(self) -> tuple[HandView, ...]:
+        """Labels per hand, in the order of the sample's subjects."""
+        return tuple(_hand(row) for row in self.meta["hands"])
+
+    def _only(self) -> HandView:
+        if len(self.hands) != 1:
+            raise CorpusError(f"{self.key} shows {len(self.hands)} hands; use view.hands[j]")
+        return self.hands[0]
+
+    @property
+    def keypoints_2d(self) -> NDArray[np.float32]:
+        """Keypoints (21, 2) of the only hand, pixels."""
+        return self._only().keypoints_2d
+
+    @property
+    def keypoints_3d(self) -> NDArray[np.float32]:
+        """Keypoints (21, 3) of the only hand, camera frame, metres."""
+        return self._only().keypoints_3d
+
+    @property
+    def keypoints_state(self) -> NDArray[np.uint8]:
+        """States (21,) of the only hand's keypoints: 0 out, 1 occluded, 2 visible."""
+        return self._only().keypoints_state
+
+
+def _hand(row: dict[str, Any]) -> HandView:
+    box = row["box_xyxy"]
+    return HandView(
+        hand=row["hand"],
+        instance_id=row["instance_id"],
+        keypoints_2d=np.array(row["keypoints_2d"], dtype=np.float32),
+        keypoints_3d=np.array(row["keypoints_3d_m"], dtype=np.float32),
+        keypoints_state=np.array(row["keypoints_state"], dtype=np.uint8),
+        box_xyxy=None if box is None else (box[0], box[1], box[2], box[3]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample: its views, its truth, and the spec it was made from.
+
+    ``scan`` is None: this corpus simulates no scanner.
+    """
+
+    index: int
+    views: tuple[View, ...]
+    spec: SampleSpec
+    scan: None = None
+
+    @cached_property
+    def subjects(self) -> list[Subject]:
+        """The truth of every hand."""
+        return [Subject(subject) for subject in self.spec.scene.subjects]
+
+    @property
+    def truth(self) -> Subject:
+        """The truth of the only hand.
+
+        Raises
+        ------
+        CorpusError
+            If the sample shows several.
+        """
+        if len(self.subjects) != 1:
+            raise CorpusError(f"sample {self.index} has {len(self.subjects)} subjects; use .subjects")
+        return self.subjects[0]
