@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 import typer
@@ -33,16 +30,14 @@ def generate(
     """Plan and render a corpus. Run the same command again to resume or to grow it."""
     from synthgen.corpus.runner import generate as run
 
-    loaded = configured(config, sets, samples, seed)
-    wanted = shard_range(shards)
-    with progress_bar(visible=not as_json) as progress:
-        summary = run(loaded, out, workers=workers, shards=wanted, progress=progress)
+    loaded, wanted = configured(config, sets, samples, seed), shard_range(shards)
+    summary = run(loaded, out, workers=workers, shards_range=wanted, progress=not as_json)
     payload = summary.to_json()
     return Result(payload, [f"{name}: {value}" for name, value in payload.items()])
 
 
 def shard_range(text: str | None) -> tuple[int, int] | None:
-    """Parse ``A:B``; either may be left out of ``A:`` and ``:B`` only together with the colon.
+    """Parse ``A:B``, two whole numbers, the second larger.
 
     Raises
     ------
@@ -56,20 +51,3 @@ def shard_range(text: str | None) -> tuple[int, int] | None:
     if int(first) >= int(last):
         raise ConfigError(f"--shards {text} is empty; the second number must exceed the first")
     return int(first), int(last)
-
-
-@contextmanager
-def progress_bar(visible: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Give a ``progress(done, total)`` that draws a bar on stderr, or None where nobody looks."""
-    if not visible or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    with Progress(
-        "samples", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True,
-    ) as bar:  # fmt: skip
-        task = bar.add_task("samples", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

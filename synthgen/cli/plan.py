@@ -19,6 +19,6 @@ def plan(
     from synthgen.corpus.plan import write_plan
 
     loaded = configured(config, sets, samples, seed)
-    write_plan(loaded, out)
+    write_plan(loaded, out, progress=not as_json)
     payload = {"out": str(out), "samples": loaded.samples, "hash": config_hash(loaded)}
     return Result(payload, [f"{loaded.samples} samples planned in {out / 'plan.jsonl'}"])

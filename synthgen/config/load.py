@@ -78,7 +78,7 @@ def resolved_yaml(config: Config) -> str:
     """Return the whole configuration as YAML that :func:`load_config` reads back, equal."""
     content = config.model_dump(mode="json")
     text: str = yaml.dump(
-        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True
+        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
     )
     return f"# hash {config_hash(config)}\n{text}"
 

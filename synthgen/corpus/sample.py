@@ -92,6 +92,10 @@ class View:
         self._fetch = fetch
         self.key: str = meta["key"]
 
+    def stored(self, column: str, suffix: str) -> bytes:
+        """Return the stored bytes of one member, for example ``("image", "jpg")``."""
+        return self._fetch(column, f"{self.key}.{suffix}")
+
     def _image(self, column: str, suffix: str, channels: int) -> NDArray[Any]:
         data = self._fetch(column, f"{self.key}.{suffix}")
         image = decode_image(data, f"{self.key}.{suffix}", channels)

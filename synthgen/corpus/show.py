@@ -1,0 +1,91 @@
+"""Everything about one sample; and the proof that it can be made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.config import load_config
+from synthgen.corpus import atomic
+from synthgen.corpus.columns import encode_view, key_of
+from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_picture
+from synthgen.corpus.plan import CONFIG
+from synthgen.corpus.reading import Corpus, open_corpus
+from synthgen.corpus.sample import Sample
+
+
+def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str, Any]:
+    """Describe a sample and write its pictures.
+
+    Parameters
+    ----------
+    path : str or Path
+        A finished corpus.
+    index : int
+        Position in the corpus.
+    remake : bool
+        Render it again and compare every member byte for byte.
+
+    Returns
+    -------
+    dict
+        JSON types; ``remake`` holds ``same`` and the names of members that differ.
+    """
+    corpus = open_corpus(path)
+    sample = corpus[index]
+    spec = sample.spec
+    found: dict[str, Any] = {
+        "sample": sample.index,
+        "attempt": spec.attempt,
+        "factors": spec.factors,
+        "subjects": [
+            {"hand": s.hand, "model": s.model, "shape": s.shape.round(4).tolist(),
+             "joints_m": s.joints.round(5).tolist()} for s in sample.subjects
+        ],
+        "views": [
+            {"key": v.key, "K": v.camera.K.tolist(),
+             "keypoints_state": [h.keypoints_state.tolist() for h in v.hands]}
+            for v in sample.views
+        ],
+        "pictures": [str(_pictures(corpus, sample, k)) for k in range(len(sample.views))],
+    }  # fmt: skip
+    if remake:
+        found["remake"] = compare(corpus, sample)
+    return found
+
+
+def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
+    """Write one view's picture, skeleton, parts and depth side by side as a PNG."""
+    view = sample.views[number]
+    row: list[NDArray[np.uint8]] = [
+        view.image, skeleton_picture(view), parts_picture(view), depth_picture(view),
+    ]  # fmt: skip
+    sheet = np.concatenate(row, axis=1)[..., ::-1]
+    folder = corpus.path / "show"
+    atomic.make_folder(folder)
+    path = folder / f"{view.key}.png"
+    atomic.replace(path, cv2.imencode(".png", sheet)[1].tobytes())
+    return path
+
+
+def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
+    """Render a sample again from its spec; tell which stored members differ."""
+    from synthgen.render.renderer import Renderer
+
+    config = load_config(str(corpus.path / CONFIG))
+    renderer = Renderer(corpus.manifest["variant"])
+    differing = []
+    for number, view in enumerate(renderer.render(sample.spec)):
+        encoded = encode_view(
+            sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality
+        )
+        key = key_of(sample.index, number)
+        for column, members in encoded.items():
+            for suffix, data in members.items():
+                if sample.views[number].stored(column, suffix) != data:
+                    differing.append(f"{column}/{key}.{suffix}")
+    return {"same": not differing, "differing": differing}

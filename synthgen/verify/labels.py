@@ -1,0 +1,70 @@
+"""Verifying the labels of a corpus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from synthgen.corpus import Corpus, open_corpus, shards
+from synthgen.errors import IntegrityError, SynthgenError
+from synthgen.verify.checks import check_view
+from synthgen.verify.report import Failure, VerifyReport
+
+
+def verify(
+    path: str | Path, samples: int | None = None, *, progress: bool = False
+) -> VerifyReport:
+    """Recompute every label that the stored truth determines and compare.
+
+    Parameters
+    ----------
+    path : str or Path
+        A finished corpus.
+    samples : int or None
+        Check this many, spread evenly; None checks all. Checksums are always all checked.
+    progress : bool
+        Show a progress bar on a terminal.
+
+    Returns
+    -------
+    VerifyReport
+        ``.ok``, ``.failures`` naming sample, view, check, value and limit.
+
+    Raises
+    ------
+    CorpusError
+        If the folder holds no corpus at all.
+    """
+    report = VerifyReport()
+    corpus = open_corpus(path)
+    for shard in corpus.shard_numbers:
+        try:
+            shards.check_hashes(corpus.path, shard)
+        except IntegrityError as error:
+            report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, str(error)))
+    chosen = _spread(len(corpus), samples)
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not (progress and console.is_terminal)) as bar:
+        for position in bar.track(chosen, description="verifying"):
+            _one(report, corpus, position)
+    report.samples = len(chosen)
+    return report
+
+
+def _one(report: VerifyReport, corpus: Corpus, position: int) -> None:
+    try:
+        sample = corpus[position]
+        for view in sample.views:
+            check_view(report, sample, view)
+            report.views += 1
+    except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
+        message = f"{type(error).__name__}: {error}"
+        report.failures.append(Failure(position, -1, "readable", 1.0, 0.0, message))
+
+
+def _spread(n: int, wanted: int | None) -> list[int]:
+    if wanted is None or wanted >= n:
+        return list(range(n))
+    return sorted({k * n // max(wanted, 1) for k in range(wanted)})

@@ -1,0 +1,44 @@
+"""``synthgen bench``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from synthgen.cli import bench
+from synthgen.cli.main import main
+
+SOURCE = """
+def run():
+    return {"title": "Speed", "columns": ["what", "s"], "rows": [["ours", 0.12345]], "notes": ["n"]}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "speed.py").write_text(SOURCE)
+    (tmp_path / "__init__.py").touch()
+    monkeypatch.setattr(bench, "FOLDER", tmp_path)
+    return tmp_path
+
+
+def test_smoke(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = folder / "report.json"
+    assert main(["bench", "speed", "--report", str(report)]) == 0
+    assert capsys.readouterr().out == "Speed\n\nwhat  s\nours  0.123\nn\n"
+    assert json.loads(report.read_text())["rows"] == [["ours", 0.12345]]
+
+
+def test_edge_unknown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "sped"]) == 2
+    assert "did you mean 'speed'" in capsys.readouterr().err
+
+
+def test_edge_no_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "FOLDER", tmp_path / "none")
+    assert main(["bench", "speed"]) == 2
+    assert "checkout" in capsys.readouterr().err

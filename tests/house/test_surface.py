@@ -1,0 +1,90 @@
+"""The public surface: what users may rely on. A change here is a change of the promise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import typer.main
+
+import synthgen
+import synthgen.config
+import synthgen.models
+from synthgen.cli.main import app
+from synthgen.config import Config
+from synthgen.config.explain import dotted_keys
+
+TOP = [
+    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scene",
+    "verify",
+]  # fmt: skip
+MODELS = {"ManoModel", "Posed", "list_models", "load"}
+CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
+KEYS = [
+    "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",
+    "pose.gmm_share", "pose.gmm_components", "pose.pca_components", "pose.penetration_limit_m",
+    "orientation.mode", "orientation.cone_deg", "camera.views", "camera.fov_deg", "camera.fill",
+    "camera.offset", "light.constant", "light.area", "light.room", "background.plain",
+    "background.procedural", "background.room", "skin.tones", "render.width", "render.height",
+    "render.spp", "render.quality", "render.max_depth", "render.variant", "corpus.shard_size",
+    "corpus.columns", "corpus.jpeg_quality",
+]  # fmt: skip
+_CONFIG = ["CONFIG"]
+VERBS = {
+    "doctor": ["--json"],
+    "models list": ["--json"],
+    "models show": ["NAME", "--hand", "--json"],
+    "models build": ["NAME", "--source", "--out", "--json"],
+    "config schema": ["--json"],
+    "config show": ["CONFIG", "--set", "--json"],
+    "plan": ["CONFIG", "--out", "--samples", "--seed", "--set", "--json"],
+    "generate": [
+        "CONFIG", "--out", "--samples", "--seed", "--workers", "--shards", "--set", "--json",
+    ],
+    "show": ["DIR", "--sample", "--remake", "--json"],
+    "verify": ["DIR", "--samples", "--report", "--json"],
+    "preview": ["DIR", "--out", "--json"],
+    "bench": ["NAME", "--report", "--json"],
+}  # fmt: skip
+
+
+def verbs(command: Any, name: str = "") -> Iterator[tuple[str, list[str]]]:
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield name, [p.metavar if p.param_type_name == "argument" else p.opts[0]
+                     for p in command.params]  # fmt: skip
+        return
+    for word, child in inner.items():
+        yield from verbs(child, f"{name} {word}".strip())
+
+
+def test_reference_top() -> None:
+    assert synthgen.__all__ == TOP
+    assert set(TOP) <= set(dir(synthgen))
+
+
+@pytest.mark.parametrize("name", TOP)
+def test_smoke_every_name_is_there(name: str) -> None:
+    assert getattr(synthgen, name) is not None
+
+
+def test_reference_rooms() -> None:
+    assert set(synthgen.models.__all__) >= MODELS
+    assert set(synthgen.config.__all__) >= CONFIG
+    for room in (synthgen.models, synthgen.config):
+        for name in room.__all__:
+            assert getattr(room, name) is not None
+
+
+def test_reference_verbs() -> None:
+    assert dict(verbs(typer.main.get_command(app))) == VERBS
+
+
+def test_reference_config_keys() -> None:
+    assert dotted_keys(Config.model_json_schema()) == KEYS
+
+
+def test_edge_unknown_name() -> None:
+    with pytest.raises(AttributeError, match="it has"):
+        synthgen.no_such_thing  # noqa: B018
