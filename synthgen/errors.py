@@ -45,7 +45,7 @@ class IntegrityError(CorpusError):
     """Stored bytes differ from what their checksum or index says."""
 
 
-class WorkLeft(SynthgenError):
+class WorkLeft(SynthgenError):  # noqa: N818  (it is no failure: the same command goes on)
     """Work was interrupted; the same command resumes (the command line exits with 3)."""
 
 

@@ -83,7 +83,9 @@ def build_hand(data: MakeHuman, say: Progress) -> dict[str, Any]:
     table = pose_table(limits, TABLE, rng=_stream("poses"))
     mean, components, coeffs, held = _pose_space(table)
     tips = _fingertips(template[: cut.n_hand], joints, weights[: cut.n_hand])
-    posedirs, report = _posedirs(template, cut, weights, people.regressor, joints, tips, limits, say)
+    posedirs, report = _posedirs(
+        template, cut, weights, people.regressor, joints, tips, limits, say
+    )
     uv, uv_faces = pack_atlas(data, cut)
     say("packing")
     return {
@@ -149,7 +151,11 @@ def _posedirs(
     tips: NDArray[np.int64], limits: JointLimits, say: Progress,
 ) -> tuple[Array, dict[str, float]]:  # fmt: skip
     """Learn pose blend shapes on single-joint and random poses; test on unseen ones."""
-    points, faces, w = template[: cut.n_hand], cut.triangles[: cut.n_hand_faces], weights[: cut.n_hand]
+    points, faces, w = (
+        template[: cut.n_hand],
+        cut.triangles[: cut.n_hand_faces],
+        weights[: cut.n_hand],
+    )
     training = np.concatenate(
         [single_joint_poses(limits), pose_table(limits, TRAINING, rng=_stream("training"))]
     )
@@ -239,9 +245,7 @@ def _smooth(t: Array) -> Array:
     return np.asarray(x * x * (3 - 2 * x))
 
 
-def _provenance(
-    data: MakeHuman, explained: Array, held: Array, report: dict[str, float]
-) -> str:
+def _provenance(data: MakeHuman, explained: Array, held: Array, report: dict[str, float]) -> str:
     return json.dumps(
         {
             "model": "cc0-hand",

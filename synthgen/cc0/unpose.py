@@ -6,6 +6,8 @@ dual-quaternion blending, which keeps the volume of the twisted forearm.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -76,14 +78,14 @@ def _twist_about_x(rotation: Array) -> Array:
 
 
 def _straighten(points: list[Array], hand: Array, *, thumb: bool) -> list[Array]:
-    """Turns of three phalanges: fingers into the palm's plane, the thumb's tip into line."""
+    """Return turns of three phalanges: fingers into the palm's plane, thumb tips into line."""
     if thumb:
         middle, last = points[2] - points[1], points[3] - points[2]
         return [hand, hand, _then(last, _turn(hand, middle), hand)]
     goal = _turn(hand, points[3] - points[0])
     goal[:, 1] = 0.0
     turns, current = [], hand
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in itertools.pairwise(points):
         current = _then(b - a, goal, current)
         turns.append(current)
     return turns

@@ -9,6 +9,7 @@ import typer
 
 from synthgen.cli.options import CorpusDir, Json
 from synthgen.cli.output import DONE, FAILED, Result
+from synthgen.errors import CorpusError
 
 Index = Annotated[int, typer.Option("--sample", metavar="I", min=0, help="Position in the corpus.")]
 Remake = Annotated[bool, typer.Option("--remake", help="Render it again and compare.")]
@@ -18,8 +19,12 @@ def show(
     directory: CorpusDir, sample: Index, remake: Remake = False, as_json: Json = False
 ) -> Result:
     """Show everything about one sample; --remake renders it again and compares."""
+    from synthgen.corpus import open_corpus
     from synthgen.corpus.show import describe
 
+    count = len(open_corpus(directory))
+    if sample >= count:
+        raise CorpusError(f"--sample {sample}: {directory} holds samples 0 to {count - 1}")
     payload = describe(directory, sample, remake=remake)
     same = payload.get("remake", {}).get("same", True)
     lines = [f"{name}: {_word(value)}" for name, value in payload.items()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +70,7 @@ def skeleton_picture(view: View) -> Image:
     """Draw every hand's keypoints and bones over the picture; occluded bones are dark."""
     canvas = np.ascontiguousarray(view.image.copy())
     for hand in view.hands:
-        points = [tuple(int(round(float(v))) for v in p) for p in hand.keypoints_2d]
+        points = [tuple(round(float(v)) for v in p) for p in hand.keypoints_2d]
         for a, b in OPENPOSE21_BONES:
             seen = hand.keypoints_state[b] == 2
             colour = tuple(int(c * (1 if seen else 0.4)) for c in FINGER_RGB[(b - 1) // 4])
@@ -174,13 +173,17 @@ def _histogram(name: str, values: list[Any]) -> str:
         for k, n in enumerate(counts)
     )
     text = " &middot; ".join(html.escape(str(label)) for label in labels)
-    return f'<div class="hist"><b>{html.escape(name)}</b><svg viewBox="0 0 168 60">{bars}</svg><small>{text}</small></div>'
+    return (
+        f'<div class="hist"><b>{html.escape(name)}</b>'
+        f'<svg viewBox="0 0 168 60">{bars}</svg><small>{text}</small></div>'
+    )
 
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>
 <style>
-:root {{ color-scheme: light dark; --ink: light-dark(#1c1f24, #e8e9ec); --soft: light-dark(#667, #99a);
+:root {{ color-scheme: light dark;
+  --ink: light-dark(#1c1f24, #e8e9ec); --soft: light-dark(#667, #99a);
   --card: light-dark(#fff, #1d2026); --page: light-dark(#f3f4f6, #121419); --bar: #4a86c8; }}
 body {{ font: 15px/1.45 system-ui, sans-serif; margin: 0 auto; padding: 24px; max-width: 1500px;
   color: var(--ink); background: var(--page); }}

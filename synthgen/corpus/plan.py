@@ -104,5 +104,3 @@ def read_plan(out: Path, first: int = 0, stop: int | None = None) -> list[Sample
         except (ValueError, KeyError, TypeError) as error:
             raise CorpusError(f"{path}: row {number} is damaged ({error})") from None
     return specs
-
-

@@ -30,7 +30,9 @@ class Corpus:
             for entry in self.manifest["shards"]
         }
         self._shard_of = {
-            index: shard for shard, sidecar in self._sidecars.items() for index in sidecar["samples"]
+            index: shard
+            for shard, sidecar in self._sidecars.items()
+            for index in sidecar["samples"]
         }
         self._indices = sorted(self._shard_of)
 
@@ -44,7 +46,7 @@ class Corpus:
             raise IndexError(f"sample {position} of a corpus of {len(self)}") from None
         shard = self._shard_of[index]
         members = self._sidecars[shard]["columns"]["meta"]["members"]
-        views = []
+        views: list[View] = []
         while (name := f"{key_of(index, len(views))}.json") in members:
             views.append(self._view(shard, name))
         if not views:

@@ -207,9 +207,7 @@ def _collect(
     config: Config, spec: SampleSpec, views: list[RenderedView], columns: dict[str, Members]
 ) -> None:
     for number, view in enumerate(views):
-        encoded = encode_view(
-            spec, number, view, config.corpus.columns, config.corpus.jpeg_quality
-        )
+        encoded = encode_view(spec, number, view, config.corpus.columns, config.corpus.jpeg_quality)
         key = key_of(spec.index, number)
         for column, members in encoded.items():
             columns[column].update({f"{key}.{s}": data for s, data in members.items()})

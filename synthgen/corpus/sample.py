@@ -122,7 +122,7 @@ class View:
     def depth_z_m(self) -> NDArray[np.float32]:
         """Depth (H, W) along the optical axis, metres, background included; 0 = nothing hit."""
         steps = self._image("depth", "depth.png", 0)
-        return (steps * DEPTH_STEP_M).astype(np.float32)
+        return np.asarray(steps * DEPTH_STEP_M, dtype=np.float32)
 
     @cached_property
     def distance_m(self) -> NDArray[np.float32]:
@@ -130,7 +130,7 @@ class View:
         K = self.camera.K
         v, u = np.mgrid[: self.meta["height"], : self.meta["width"]]
         x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-        return (self.depth_z_m * np.sqrt(x * x + y * y + 1)).astype(np.float32)
+        return np.asarray(self.depth_z_m * np.sqrt(x * x + y * y + 1), dtype=np.float32)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -184,8 +184,13 @@ class View:
     def camera(self) -> ViewCamera:
         """Calibration of this view."""
         m = self.meta
-        matrices = (np.array(m[k], np.float64) for k in ("K", "T_world_from_camera", "distortion"))
-        return ViewCamera(*matrices, width=m["width"], height=m["height"])
+        return ViewCamera(
+            K=np.array(m["K"], np.float64),
+            T_world_from_camera=np.array(m["T_world_from_camera"], np.float64),
+            distortion=np.array(m["distortion"], np.float64),
+            width=m["width"],
+            height=m["height"],
+        )
 
     @cached_property
     def hands(self) -> tuple[HandView, ...]:
@@ -252,5 +257,7 @@ class Sample:
             If the sample shows several.
         """
         if len(self.subjects) != 1:
-            raise CorpusError(f"sample {self.index} has {len(self.subjects)} subjects; use .subjects")
+            raise CorpusError(
+                f"sample {self.index} has {len(self.subjects)} subjects; use .subjects"
+            )
         return self.subjects[0]

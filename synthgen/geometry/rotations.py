@@ -36,9 +36,7 @@ def matrix_from_axis_angle(axis_angle: NDArray[Any]) -> NDArray[np.float64]:
     a = np.where(small, 1 - squared / 6, np.sin(safe) / safe)
     b = np.where(small, 0.5 - squared / 24, (1 - np.cos(safe)) / (safe * safe))
     k = cross_matrix(r)
-    result: NDArray[np.float64] = (
-        np.eye(3) + a[..., None, None] * k + b[..., None, None] * (k @ k)
-    )
+    result: NDArray[np.float64] = np.eye(3) + a[..., None, None] * k + b[..., None, None] * (k @ k)
     return result
 
 

@@ -53,9 +53,7 @@ class InterpolatingSubdivision:
     _solve: Any
 
     @staticmethod
-    def build(
-        faces: NDArray[Any], n_vertices: int, levels: int = 2
-    ) -> InterpolatingSubdivision:
+    def build(faces: NDArray[Any], n_vertices: int, levels: int = 2) -> InterpolatingSubdivision:
         """Prepare a topology once.
 
         Parameters
@@ -103,9 +101,7 @@ def _refine(
     boundary = count == 1
     m = len(edges)
     rows = np.arange(m)
-    middle = sparse.csr_matrix(
-        (np.full(2 * m, 0.5), (np.repeat(rows, 2), edges.ravel())), (m, n)
-    )
+    middle = sparse.csr_matrix((np.full(2 * m, 0.5), (np.repeat(rows, 2), edges.ravel())), (m, n))
     inner = np.where(boundary, 0.5, 0.375)
     ends = sparse.csr_matrix((np.repeat(inner, 2), (np.repeat(rows, 2), edges.ravel())), (m, n))
     wings = sparse.csr_matrix(
@@ -116,15 +112,15 @@ def _refine(
     a, b, c = faces.T
     ab, bc, ca = (n + inverse).reshape(3, -1)
     children = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    smooth = sparse.vstack([even, odd]).tocsr()
-    flat = sparse.vstack([sparse.identity(n), middle]).tocsr()
+    smooth = sparse.csr_matrix(sparse.vstack([even, odd]))
+    flat = sparse.csr_matrix(sparse.vstack([sparse.identity(n), middle]))
     return smooth, flat, children
 
 
 def _edges(
     faces: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Unique edges, for the half-edges ab, bc, ca (all faces each): edge id, opposite vertex."""
+    """Find unique edges; for the half-edges ab, bc, ca of all faces: edge id, opposite vertex."""
     half = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges, inverse, count = np.unique(
         np.sort(half, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -136,9 +132,7 @@ def _edges(
     return edges, inverse.reshape(-1), opposite, count
 
 
-def _even(
-    edges: NDArray[np.int64], boundary: NDArray[np.bool_], n: int
-) -> sparse.csr_matrix:
+def _even(edges: NDArray[np.int64], boundary: NDArray[np.bool_], n: int) -> sparse.csr_matrix:
     """Loop's vertex rule; boundary vertices follow the cubic B-spline of the boundary."""
     i, j = edges.T
     ring = sparse.csr_matrix((np.ones(2 * len(edges)), (np.r_[i, j], np.r_[j, i])), (n, n))
@@ -150,4 +144,4 @@ def _even(
     inside = sparse.diags(1 - valence * beta) + sparse.diags(beta) @ ring
     outside = 0.75 * sparse.identity(n) + 0.125 * rim
     keep = sparse.diags((~on_rim).astype(float))
-    return (keep @ inside + sparse.diags(on_rim.astype(float)) @ outside).tocsr()
+    return sparse.csr_matrix(keep @ inside + sparse.diags(on_rim.astype(float)) @ outside)

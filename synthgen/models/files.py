@@ -31,7 +31,10 @@ _SUFFIXES = (".npz", ".pkl")
 
 def list_models() -> dict[str, Path]:
     """Return models by name: shipped ones, then those in the folders of ``SYNTHGEN_MODELS``."""
-    folders = [DATA, *map(Path, filter(None, os.environ.get("SYNTHGEN_MODELS", "").split(os.pathsep)))]
+    folders = [
+        DATA,
+        *map(Path, filter(None, os.environ.get("SYNTHGEN_MODELS", "").split(os.pathsep))),
+    ]
     found: dict[str, Path] = {}
     for folder in folders:
         if folder.is_dir():
@@ -41,9 +44,7 @@ def list_models() -> dict[str, Path]:
     return found
 
 
-def load(
-    name: str | Path, *, hand: Hand = "right", official_left_shape: bool = False
-) -> ManoModel:
+def load(name: str | Path, *, hand: Hand = "right", official_left_shape: bool = False) -> ManoModel:
     """Load a hand model.
 
     Parameters
@@ -109,9 +110,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
         raise ModelError(f"{path}: not a readable model archive ({error})") from None
 
 
-def _build(
-    arrays: dict[str, Any], path: Path, own: Hand, official_left_shape: bool
-) -> ManoModel:
+def _build(arrays: dict[str, Any], path: Path, own: Hand, official_left_shape: bool) -> ManoModel:
     if "posedirs_q" in arrays:
         scale = float(arrays["posedirs_scale"])
         arrays["posedirs"] = arrays["posedirs_q"].astype(np.float64) * scale
@@ -199,10 +198,10 @@ def _check_relations(a: dict[str, Array], path: Path) -> None:
 
 
 def _has_left_bug(a: dict[str, Array], path: Path) -> bool:
-    """Published left hands carry the right hand's shape bases, x not negated.
+    """Tell whether a left hand carries the right hand's shape bases, x not negated.
 
-    The right file beside it decides; alone, a longer first component that lengthens the fingers
-    along x of a left template (fingers +x) must have positive x there when y, z also grow.
+    Published left hands do. The right file beside it (``LEFT`` in its name replaced by
+    ``RIGHT``) decides; without one the bases are taken as they are.
     """
     twin = path.with_name(path.name.replace("LEFT", "RIGHT").replace("left", "right"))
     if twin == path or not twin.is_file():

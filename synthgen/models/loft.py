@@ -124,7 +124,7 @@ def _nails(
     vertices: Array, faces: NDArray[np.int64], weights: Array, joints: Array,
     tips: NDArray[np.int64],
 ) -> Array:  # fmt: skip
-    """A patch on the back of each last segment, just behind the tip."""
+    """Mark a patch on the back of each last segment, just behind the tip."""
     normals, back = vertex_normals(vertices, faces), _back(vertices, joints)
     nail = np.zeros(len(vertices))
     for tip, joint in zip(tips, (15, 3, 6, 12, 9), strict=True):

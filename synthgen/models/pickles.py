@@ -184,7 +184,7 @@ def plain(value: Any) -> Any:
         state = _state(value)
         source = np.asarray(plain(state["a"]), dtype=np.float64)
         picked = source.ravel()[np.asarray(plain(state["idxs"]), dtype=np.int64)]
-        return picked.reshape(tuple(int(n) for n in plain(state["preferred_shape"])))
+        return picked.reshape(tuple(int(n) for n in _sequence(plain(state["preferred_shape"]))))
     if isinstance(value, _Chumpy):
         state = _state(value)
         return plain(state["x"] if "x" in state else state["_x"])
@@ -202,10 +202,11 @@ def _dense(state: Any) -> NDArray[np.float64]:
 
     if not isinstance(state, dict):
         raise ModelError("a sparse matrix in the file has no state")
-    shape = tuple(int(n) for n in state.get("_shape", state.get("shape", ())))
+    shape = tuple(int(n) for n in _sequence(state.get("_shape", state.get("shape"))))
     if len(shape) != 2 or int(np.prod(shape)) > 10**8:
         raise ModelError(f"a sparse matrix of shape {shape} is not a joint regressor")
     parts = {k: plain(v) for k, v in state.items() if isinstance(v, _Array)}
+    matrix: Any
     if "indptr" in parts:
         triple = (parts["data"], parts["indices"], parts["indptr"])
         rows_first = len(parts["indptr"]) == shape[0] + 1
@@ -214,3 +215,9 @@ def _dense(state: Any) -> NDArray[np.float64]:
     else:
         matrix = sparse.coo_matrix((parts["data"], (parts["row"], parts["col"])), shape=shape)
     return np.asarray(matrix.toarray(), dtype=np.float64)
+
+
+def _sequence(value: Any) -> list[Any]:
+    if isinstance(value, list | tuple | np.ndarray):
+        return list(value)
+    raise ModelError("an object in the file has no shape")

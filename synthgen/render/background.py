@@ -24,7 +24,7 @@ _WALL_REPEAT_M = 0.8
 def wall_triangles() -> NDArray[np.uint32]:
     """Triangles (12, 3) of the six quads."""
     base = 4 * np.arange(QUADS)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
-    return base.reshape(-1, 3).astype(np.uint32)
+    return np.asarray(base.reshape(-1, 3), dtype=np.uint32)
 
 
 def wall_geometry(background: Background, camera: Camera) -> tuple[Array, NDArray[np.float32]]:
@@ -79,7 +79,7 @@ def wall_texture(background: Background) -> Image:
     colours = np.array(background.colour_rgb), np.array(background.accent_rgb)
     grain = 1 + 0.05 * _cloud(rng, 2)[..., None]
     mixed = ((1 - share) * colours[0] + share * colours[1]) * grain
-    return np.clip(mixed, 0.01, 0.95).astype(np.float32)
+    return np.asarray(np.clip(mixed, 0.01, 0.95), dtype=np.float32)
 
 
 def _pattern(rng: np.random.Generator) -> Array:

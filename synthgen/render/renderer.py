@@ -80,9 +80,7 @@ class Renderer:
         """Return why a sample must be drawn again, or None; needs labels alone."""
         return rejection(self.labels(spec))
 
-    def _label(
-        self, live: LiveScene, posed: list[Posed], spec: SampleSpec
-    ) -> list[RenderedView]:
+    def _label(self, live: LiveScene, posed: list[Posed], spec: SampleSpec) -> list[RenderedView]:
         views = []
         for camera in spec.scene.cameras:
             hands = tuple(

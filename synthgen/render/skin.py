@@ -87,7 +87,7 @@ def bake(model: ManoModel, skin: Skin) -> Image:
     albedo = albedo * (1 - redness[..., None] * [0.5, 1.0, 0.9])
     albedo = albedo * (1 + skin.mottle * _mottle(maps.position, skin.seed))
     albedo = albedo + maps.nail[..., None] * (nail - albedo)
-    return np.clip(albedo, 0.004, 0.95).astype(np.float32)
+    return np.asarray(np.clip(albedo, 0.004, 0.95), dtype=np.float32)
 
 
 def _mottle(position: Array, seed: int) -> Array:

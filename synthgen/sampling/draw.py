@@ -21,7 +21,7 @@ from synthgen.sampling.penetration import probe_of
 from synthgen.sampling.shape import sample_shape
 from synthgen.sampling.spec import RenderSettings, SampleSpec
 from synthgen.sampling.streams import stream
-from synthgen.scene import HandSubject, Scene, Skin
+from synthgen.scene import Background, HandSubject, Lights, Scene, Skin
 from synthgen.scene.description import Hand, Vec3
 
 Array = NDArray[np.float64]
@@ -256,7 +256,7 @@ def surface_of(model: ManoModel, subject: HandSubject) -> Array:
 
 def _surroundings(
     config: Config, placed: _Placed, streams: Streams
-) -> tuple[tuple[str, lighting.Lights], tuple[str, lighting.Background]]:
+) -> tuple[tuple[str, Lights], tuple[str, Background]]:
     light_rng, wall_rng = streams("light"), streams("background")
     light = _choose(config.light.weights(), light_rng)
     wall = _choose(config.background.weights(), wall_rng)

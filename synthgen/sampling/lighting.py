@@ -12,9 +12,7 @@ from synthgen.scene.description import Vec3
 Array = NDArray[np.float64]
 
 
-def sample_lights(
-    kind: str, subject: Array, camera: Array, *, rng: np.random.Generator
-) -> Lights:
+def sample_lights(kind: str, subject: Array, camera: Array, *, rng: np.random.Generator) -> Lights:
     """Draw the lights of one sample.
 
     Irradiance at the subject is about 2 to 4 in the units in which a white constant surround of
@@ -53,7 +51,9 @@ def _lamp(
 
 
 def _ceiling_lamp(subject: Array, irradiance: float, *, rng: np.random.Generator) -> AreaLight:
-    position = subject + [rng.uniform(-0.6, 0.6), rng.uniform(0.7, 0.95), rng.uniform(-0.6, 0.6)]
+    position = subject + np.array(
+        [rng.uniform(-0.6, 0.6), rng.uniform(0.7, 0.95), rng.uniform(-0.6, 0.6)]
+    )
     return _area_light(position, subject, irradiance, rng)
 
 

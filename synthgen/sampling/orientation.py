@@ -60,7 +60,7 @@ def cone_rotation(cone_deg: float, *, rng: np.random.Generator) -> NDArray[np.fl
 def mirror_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``M R M`` with M = diag(-1, 1, 1): what a mirrored hand does in a mirrored view."""
     sign = np.array([-1.0, 1.0, 1.0])
-    return rotation * sign[:, None] * sign[None, :]
+    return np.asarray(rotation * sign[:, None] * sign[None, :], dtype=np.float64)
 
 
 def _rot_x(angle: float) -> NDArray[np.float64]:

@@ -91,12 +91,12 @@ class DrawnSurface:
     def part(self, face: NDArray[Any], barycentric: NDArray[Any]) -> NDArray[np.uint8]:
         """Return part ids of points on the model's faces: the part of the nearest corner."""
         nearest = np.asarray(barycentric).argmax(axis=1)
-        return self.surface.part_of_vertex[self.surface.faces[face, nearest]]
+        return np.asarray(self.surface.part_of_vertex[self.surface.faces[face, nearest]])
 
     def texture(self, face: NDArray[Any], barycentric: NDArray[Any]) -> NDArray[np.float32]:
         """Return texture coordinates (n, 2) of points on the model's faces."""
         corners = self.surface.uv[self.surface.uv_faces[face]]
-        return np.einsum("ni,nij->nj", barycentric, corners).astype(np.float32)
+        return np.asarray(np.einsum("ni,nij->nj", barycentric, corners), dtype=np.float32)
 
 
 @lru_cache(maxsize=8)

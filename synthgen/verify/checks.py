@@ -70,9 +70,7 @@ def _surface(subject: Subject) -> NDArray[np.float32]:
     )[0]  # fmt: skip
 
 
-def _front_faces(
-    vertices: Array, faces: NDArray[np.int64], camera: Camera
-) -> NDArray[np.int64]:
+def _front_faces(vertices: Array, faces: NDArray[np.int64], camera: Camera) -> NDArray[np.int64]:
     """Faces wholly in front of the camera; an arm may pass behind it, out of the picture."""
     z = (vertices - camera.position) @ camera.T[:3, 2]
     return np.flatnonzero((z[faces] > 0.01).all(axis=1))
@@ -101,7 +99,7 @@ def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
 
 
 def check_camera(measure: Any, sample: Sample, view: View) -> None:
-    """Stored calibration equals the spec's; the rotation is one."""
+    """Check that the stored calibration equals the spec's and its rotation is one."""
     camera = sample.spec.scene.cameras[view.meta["view"]]
     stored = view.camera
     off = max(
@@ -201,7 +199,8 @@ def _edges(mask: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def _inner(view: View, again: Redrawn) -> NDArray[np.bool_]:
     """Pixels on the same face of the same hand in both drawings."""
-    return (view.face_id == again.face) & (view.instance_id == again.instance) & (again.face >= 0)
+    same = (view.face_id == again.face) & (view.instance_id == again.instance)
+    return np.asarray(same & (again.face >= 0))
 
 
 def check_depth(measure: Any, view: View, again: Redrawn) -> None:
@@ -250,7 +249,7 @@ def _normal_error(view: View, inner: NDArray[np.bool_]) -> float:
 
 
 def check_image(measure: Any, sample: Sample, view: View) -> None:
-    """The picture shows this hand: skin is red over blue, and its outline has an edge."""
+    """Check that the picture shows this hand: skin is red over blue, its outline an edge."""
     hand = view.instance_id > 0
     if hand.sum() < 50:
         return
@@ -269,7 +268,8 @@ def _edge_gain(view: View) -> float:
     outline = np.argwhere(_edges(view.instance_id.astype(np.int64)))
     here = _contrast(grey, outline)
     moved = [
-        _contrast(grey, outline + np.array(shift)) for shift in ((24, 0), (-24, 0), (0, 24), (0, -24))
+        _contrast(grey, outline + np.array(shift))
+        for shift in ((24, 0), (-24, 0), (0, 24), (0, -24))
     ]
     return float(here / max(float(np.median(moved)), 1e-6))
 

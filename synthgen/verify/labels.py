@@ -13,9 +13,7 @@ from synthgen.verify.checks import check_view
 from synthgen.verify.report import Failure, VerifyReport
 
 
-def verify(
-    path: str | Path, samples: int | None = None, *, progress: bool = False
-) -> VerifyReport:
+def verify(path: str | Path, samples: int | None = None, *, progress: bool = False) -> VerifyReport:
     """Recompute every label that the stored truth determines and compare.
 
     Parameters

@@ -20,9 +20,9 @@ def test_reference_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out) == {"a": [1, "é"]}
 
 
-def test_edge_nan_is_no_json() -> None:
-    with pytest.raises(ValueError, match="JSON compliant"):
-        Result({"a": float("nan")}).emit(True)
+def test_edge_nan_becomes_null(capsys: pytest.CaptureFixture[str]) -> None:
+    Result({"a": [float("nan"), {"b": (1.0, float("-inf"))}]}).emit(True)
+    assert json.loads(capsys.readouterr().out) == {"a": [None, {"b": [1.0, None]}]}
 
 
 def test_shape_columns() -> None:

@@ -14,7 +14,7 @@ ALSO_LAZY = {"scipy", "numba", "pyarrow", "sklearn", "cv2", "matplotlib", "igl",
 
 def loaded(code: str) -> set[str]:
     """Run code in a fresh interpreter and return the top-level modules loaded after it."""
-    ask = f"{code}\nimport json, sys\nprint(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    ask = f"{code}\nimport json, sys\nprint(json.dumps([m.split('.')[0] for m in sys.modules]))"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
 

@@ -24,7 +24,7 @@ def project(points: np.ndarray, lens: placement.Lens, transform: np.ndarray) -> 
 @pytest.mark.parametrize("fill", [0.3, 0.7, 1.0])
 def test_reference_fill_and_offset(fill: float) -> None:
     g = rng("fill")
-    points = g.normal(0, 0.04, (300, 3)) + [0.1, 1.2, -0.3]
+    points = g.normal(0, 0.04, (300, 3)) + np.array([0.1, 1.2, -0.3])
     lens = placement.sample_lens(320, 240, (35.0, 60.0), rng=g)
     offset = np.array([0.05, -0.08])
     view = placement.sample_view(rng=g)

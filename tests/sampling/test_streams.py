@@ -41,4 +41,3 @@ def test_reference_golden_values_never_change() -> None:
 def test_edge_negative_numbers_are_refused() -> None:
     with pytest.raises(ShapeError, match="seed=-1"):
         stream(-1, "sample", 0, 0, "pose")
-
