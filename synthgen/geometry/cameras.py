@@ -143,6 +143,8 @@ def undistort(camera: Camera, xy: NDArray[Any], tolerance: float = 1e-10) -> Arr
         guess = guess + step
         if np.abs(step).max() < tolerance:
             return guess
+        if np.abs(guess).max() > 1e3:  # it runs away
+            break
     raise ShapeError(
         f"distortion {camera.distortion} cannot be inverted over the frame; use smaller values"
     )
