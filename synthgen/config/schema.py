@@ -132,7 +132,7 @@ class RenderSettings(Section):
     quality: Literal["plain"] = "plain"
     """Look of materials and sensor."""
 
-    max_depth: int = Field(default=4, ge=2, le=32)
+    max_depth: int = Field(default=3, ge=2, le=32)
     """Longest light path, segments; 2 is direct light only."""
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

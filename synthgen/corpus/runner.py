@@ -225,7 +225,7 @@ def _supervise(
                    for w in range(min(workers, max(len(todo), 1)))]  # fmt: skip
         deaths = 0
         try:
-            while any(p.is_alive() for p in running):
+            while any(p.exitcode not in (0, 2) for p in running):
                 _drain(results, advance)
                 for number, process in enumerate(running):
                     if process.exitcode not in (None, 0, 2):

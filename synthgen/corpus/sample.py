@@ -92,6 +92,11 @@ class View:
         self._fetch = fetch
         self.key: str = meta["key"]
 
+    @property
+    def stored_member(self) -> Fetch:
+        """Reads a stored member by column and full name."""
+        return self._fetch
+
     def stored(self, column: str, suffix: str) -> bytes:
         """Return the stored bytes of one member, for example ``("image", "jpg")``."""
         return self._fetch(column, f"{self.key}.{suffix}")

@@ -82,7 +82,7 @@ def trace(live: LiveScene, origin: Array, directions: Array) -> Hits:
     """Shoot rays from one origin (3,) along unit directions (n, 3), world."""
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
-    o = mi.Point3f(*(mi.Float(float(v)) for v in origin))
+    o = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin))
     d = mi.Vector3f(*(mi.Float(c) for c in directions.T.astype(np.float32)))
     found = live.scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=True)
     dr.eval(found)  # one trace; every conversion below would repeat it otherwise

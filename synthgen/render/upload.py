@@ -140,8 +140,7 @@ class LiveScene:
         for k, (subject, vertices) in enumerate(zip(scene.subjects, surfaces, strict=True)):
             self._put_hand(k, subject, vertices)
         self._put_wall(scene)
-        surround = self._mi.Color3f(*map(float, scene.lights.constant_rgb))
-        self._params["surround.radiance.value"] = surround
+        self._params["surround.radiance.value"] = self._colour(scene.lights.constant_rgb)
         self.lamps = []
         for k, lamp in enumerate(scene.lights.area):
             self._put_lamp(k, lamp)
@@ -156,7 +155,7 @@ class LiveScene:
             self._skins[k] = subject.skin
             albedo = skin.bake(model, subject.skin)
             self._params[f"{name}.bsdf.base_color.data"] = self._mi.TensorXf(albedo)
-            self._params[f"{name}.bsdf.roughness.value"] = self._mi.Float(subject.skin.roughness)
+            self._params[f"{name}.bsdf.roughness.value"] = self._number(subject.skin.roughness)
         self.solids.append(
             Solid(vertices.astype(float), drawn.triangles.astype(np.int64), normals.astype(float))
         )
@@ -180,21 +179,32 @@ class LiveScene:
         frame = look_at(position, target, up)
         self.lamps.append(frame)
         matrix = frame @ np.diag([lamp.size_m / 2] * 2 + [1.0, 1.0])
-        self._params[f"lamp{k}.to_world"] = self._mi.Transform4f(matrix.astype(np.float32))
-        colour = self._mi.Color3f(*map(float, lamp.radiance_rgb))
-        self._params[f"lamp{k}.emitter.radiance.value"] = colour
+        self._params[f"lamp{k}.to_world"] = self._transform(matrix)
+        self._params[f"lamp{k}.emitter.radiance.value"] = self._colour(lamp.radiance_rgb)
+
+    def _number(self, value: float) -> Any:
+        """Pass a number as data: a literal would be compiled into the kernels."""
+        return backend.drjit().opaque(self._mi.Float, float(value))
+
+    def _transform(self, matrix: Array) -> Any:
+        transform = self._mi.Transform4f(matrix.astype(np.float32))
+        backend.drjit().make_opaque(transform)
+        return transform
+
+    def _colour(self, rgb: tuple[float, float, float]) -> Any:
+        return self._mi.Color3f(*(self._number(value) for value in rgb))
 
     def radiance(self, camera: Camera, spp: int, max_depth: int, seed: int) -> NDArray[np.float32]:
         """Path-trace one view; (H, W, 3) float32, linear sRGB."""
         mi = self._mi
         _require_centred(camera)
         fov = float(2 * np.rad2deg(np.arctan(camera.width / 2 / camera.fx)))
-        self._params["sensor.x_fov"] = mi.Float(fov)
-        matrix = (camera.T @ _FLIP).astype(np.float32)
-        self._params["sensor.to_world"] = mi.Transform4f(matrix)
+        self._params["sensor.x_fov"] = self._number(fov)
+        self._params["sensor.to_world"] = self._transform(camera.T @ _FLIP)
         self._params.update()
         integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
-        image = mi.render(self._scene, integrator=integrator, spp=spp, seed=seed)
+        key = backend.drjit().opaque(mi.UInt32, seed)
+        image = mi.render(self._scene, integrator=integrator, spp=spp, seed=key)
         return np.array(image, dtype=np.float32)
 
 

@@ -47,7 +47,9 @@ def test_reference_brute_force() -> None:
             if expected >= 0:
                 hit = origin + t * rays[row, column]
                 assert z[row, column] == pytest.approx(hit[2], abs=1e-9)
-                np.testing.assert_allclose(barycentric[row, column] @ v[f[expected]], hit, atol=1e-9)
+                np.testing.assert_allclose(
+                    barycentric[row, column] @ v[f[expected]], hit, atol=1e-9
+                )
 
 
 def test_edge_empty_and_behind() -> None:

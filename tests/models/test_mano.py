@@ -55,8 +55,9 @@ def test_properties_root_turns_about_joint_zero(hand: ManoModel) -> None:
 def test_properties_mean_pose_is_included(hand: ManoModel) -> None:
     """Full axis-angle in, nothing added: a zero pose is flat, not the mean pose."""
     mean = np.concatenate([np.zeros(3), hand.hands_mean]).reshape(1, 16, 3)
-    flat, relaxed = hand.evaluate(np.zeros((1, 10)), np.zeros((1, 16, 3))), hand.evaluate(
-        np.zeros((1, 10)), mean
+    flat, relaxed = (
+        hand.evaluate(np.zeros((1, 10)), np.zeros((1, 16, 3))),
+        hand.evaluate(np.zeros((1, 10)), mean),
     )
     assert np.abs(flat.vertices - relaxed.vertices).max() > 0.01
 

@@ -59,7 +59,7 @@ def test_edge_attacks(
         b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.",
         b"\x82\x01.",
         b"Pid\n.",
-        b"(l" * 3000 + b"." ,
+        b"(l" * 3000 + b".",
         b"\x80\x02]q\x00(" + b"h\x00" * 300_000 + b"e.",
         b"",
         b"not a pickle at all",

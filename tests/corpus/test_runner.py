@@ -1,0 +1,196 @@
+"""Making corpora: identical bytes, resumable, refusing what does not fit, whole or absent."""
+
+from __future__ import annotations
+
+import errno
+import filecmp
+import os
+from pathlib import Path
+
+import fake
+import pytest
+
+from synthgen.config import Config, load_config
+from synthgen.corpus import atomic, open_corpus, shards
+from synthgen.corpus import runner as runner_module
+from synthgen.corpus.runner import Maker, generate
+from synthgen.errors import CorpusError, IntegrityError, WorkLeft
+
+
+def config(*overrides: str) -> Config:
+    base = ["samples=7", "corpus.shard_size=3", "render.width=32", "render.height=24"]
+    return load_config("fixtures", [*base, *overrides])
+
+
+def make(out: Path, *overrides: str, maker: Maker = fake.quick, workers: int = 1) -> Path:
+    generate(config(*overrides), out, maker=maker, workers=workers, progress=False)
+    return out
+
+
+def same(a: Path, b: Path) -> bool:
+    files = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(b) for p in b.rglob("*") if p.is_file())
+    return all(filecmp.cmp(a / f, b / f, shallow=False) for f in files)
+
+
+def test_smoke_folder(tmp_path: Path) -> None:
+    out = make(tmp_path / "c")
+    names = {p.name for p in out.iterdir()}
+    assert {"MANIFEST.json", "plan.jsonl", "samples.parquet", "config.resolved.yaml", "image",
+            "depth", "labels", "meta", "shards", "DATASET_CARD.md"} <= names  # fmt: skip
+    corpus = open_corpus(out)
+    assert len(corpus) == 7
+    assert corpus[-1].index == 6
+    assert corpus.table.num_rows == 7
+    assert [s.index for s in corpus] == list(range(7))
+
+
+def test_properties_same_bytes_with_two_workers(tmp_path: Path) -> None:
+    one, two = make(tmp_path / "one"), make(tmp_path / "two", workers=2)
+    assert same(one, two)
+
+
+def test_properties_resumes_after_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, out = make(tmp_path / "whole"), tmp_path / "cut"
+    commit, count = shards.commit_shard, 0
+
+    def interrupted(*args: object, **kwargs: object) -> None:
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise KeyboardInterrupt
+        commit(*args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(runner_module.shards, "commit_shard", interrupted)
+    with pytest.raises(WorkLeft, match="same command"):
+        make(out)
+    assert shards.done_shards(out) == [0]
+    with pytest.raises(CorpusError, match="not finished"):
+        open_corpus(out)
+    monkeypatch.undo()
+    assert same(whole, make(out))
+
+
+def test_properties_a_killed_worker_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SYNTHGEN_TEST_MARKER", str(tmp_path / "died"))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    out = make(tmp_path / "killed", maker=fake.suicidal, workers=2)
+    assert (tmp_path / "died").exists()
+    assert same(make(tmp_path / "calm"), out)
+
+
+def test_edge_workers_that_always_die(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    with pytest.raises(CorpusError, match="died"):
+        make(tmp_path / "dead", maker=fake.deadly, workers=2)
+
+
+def test_properties_grows(tmp_path: Path) -> None:
+    make(tmp_path / "grown", "samples=4")
+    assert same(make(tmp_path / "whole"), make(tmp_path / "grown"))
+
+
+def test_properties_rejected_samples_are_redrawn_and_recorded(tmp_path: Path) -> None:
+    corpus = open_corpus(make(tmp_path / "picky", maker=fake.picky))
+    assert [s.spec.attempt for s in corpus] == [0, 1, 0, 1, 0, 1, 0]
+    redrawn = {k: v for entry in corpus.manifest["shards"] for k, v in entry["redrawn"].items()}
+    assert redrawn == {"1": ["odd"], "3": ["odd"], "5": ["odd"]}
+
+
+def test_edge_never_accepted(tmp_path: Path) -> None:
+    with pytest.raises(CorpusError, match=r"rejected 10 times.*nothing pleases"):
+        make(tmp_path / "never", maker=fake.never)
+
+
+def test_edge_another_config_is_refused(tmp_path: Path) -> None:
+    out = make(tmp_path / "c")
+    with pytest.raises(CorpusError, match="config_hash was"):
+        make(out, "seed=5")
+    with pytest.raises(CorpusError, match="not empty"):
+        make(tmp_path)
+
+
+def test_edge_another_engine_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = make(tmp_path / "c")
+    from synthgen.corpus import plan
+
+    monkeypatch.setattr(plan, "engine", lambda v: {"variant": "cuda_ad_rgb", "llvm": None,
+                                                   "versions": {}})  # fmt: skip
+    with pytest.raises(CorpusError, match=r"variant was llvm_ad_rgb, is cuda_ad_rgb"):
+        make(out)
+
+
+def test_edge_full_disk_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sync, count = os.fsync, 0
+
+    def full(handle: int) -> None:
+        nonlocal count
+        count += 1
+        if count > 12:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        sync(handle)
+
+    monkeypatch.setattr(atomic.os, "fsync", full)
+    out = tmp_path / "full"
+    with pytest.raises(CorpusError, match=r"No space left.*same command"):
+        make(out)
+    monkeypatch.undo()
+    assert not list(out.rglob("*.tmp"))
+    assert same(make(tmp_path / "whole"), make(out))
+
+
+def test_edge_unwritable_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(CorpusError, match="cannot create the folder"):
+        make(tmp_path / "file" / "corpus")
+
+
+@pytest.mark.parametrize("column", ["image", "labels", "meta"])
+def test_edge_a_flipped_or_missing_byte_is_named(tmp_path: Path, column: str) -> None:
+    out = make(tmp_path / "c")
+    tar = out / column / "000001.tar"
+    data = bytearray(tar.read_bytes())
+    data[700] ^= 1
+    tar.write_bytes(bytes(data))
+    with pytest.raises(IntegrityError, match=rf"{column}/000001\.tar"):
+        shards.check_hashes(out, 1)
+    tar.write_bytes(bytes(data[:-512]))
+    with pytest.raises(IntegrityError, match=rf"{column}/000001\.tar has"):
+        open_corpus(out)
+    tar.unlink()
+    with pytest.raises(IntegrityError, match="missing"):
+        open_corpus(out)
+
+
+def test_edge_damaged_manifest_and_plan(tmp_path: Path) -> None:
+    out = make(tmp_path / "c")
+    (out / "MANIFEST.json").write_text("{")
+    with pytest.raises(IntegrityError, match="MANIFEST"):
+        open_corpus(out)
+    (out / "plan.jsonl").write_text('{"index": 0}\n')
+    from synthgen.corpus.plan import read_plan
+
+    with pytest.raises(CorpusError, match="row 0 is damaged"):
+        read_plan(out)
+
+
+def test_properties_tars_are_plain(tmp_path: Path) -> None:
+    import tarfile
+
+    out = make(tmp_path / "c", "corpus.columns=[image,depth,labels,meta,exr]")
+    keys = []
+    for column in ("image", "depth", "labels", "meta", "exr"):
+        with tarfile.open(out / column / "000000.tar") as archive:
+            members = archive.getmembers()
+            assert all(m.mtime == 0 and m.uid == 0 for m in members)
+            keys.append(sorted({m.name.split(".")[0] for m in members}))
+    assert all(k == keys[0] for k in keys)
+    view = open_corpus(out)[0].views[0]
+    assert view.linear is not None
+    assert view.linear.shape == (24, 32, 3)

@@ -1,0 +1,73 @@
+"""Verify passes a sound corpus and catches every known defect and damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synthgen.config import load_config
+from synthgen.corpus import open_corpus
+from synthgen.corpus.runner import generate
+from synthgen.verify import verify
+from synthgen.verify.checks import chirality
+from synthgen.verify.faults import FAULTS, caught
+from synthgen.verify.report import VerifyReport
+
+
+@pytest.fixture(scope="module")
+def corpus_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("verify") / "c"
+    small = ["samples=4", "render.width=160", "render.height=160", "render.spp=4",
+             "corpus.shard_size=2"]  # fmt: skip
+    generate(load_config("hand_rgbd", small), out, progress=False)
+    return out
+
+
+def test_smoke_sound_corpus_passes(corpus_path: Path) -> None:
+    report = verify(corpus_path)
+    assert report.ok, report.failures[:3]
+    assert report.views == 4
+    assert len(report.worst) >= 15
+
+
+@pytest.mark.parametrize("name", list(FAULTS))
+def test_properties_every_known_defect_is_caught(corpus_path: Path, name: str) -> None:
+    corpus = open_corpus(corpus_path)
+    hits = [caught(corpus, k, FAULTS[name]) for k in range(4)]
+    assert all(hits), hits
+
+
+def test_reference_no_fault_is_not_caught(corpus_path: Path) -> None:
+    corpus = open_corpus(corpus_path)
+    assert not any(caught(corpus, k, lambda view: None) for k in range(4))
+
+
+def test_reference_chirality_of_a_plain_curled_hand() -> None:
+    """Back to the camera, fingers up, curled away from it: a right hand has its thumb left."""
+    p = np.zeros((21, 3))
+    for finger, x in zip(range(1, 5), (-0.03, -0.01, 0.01, 0.03), strict=True):
+        base = np.array([x, -0.09, 0.0])
+        for k in range(4):
+            p[4 * finger + 1 + k] = base + [0, -0.01 * k, 0.02 * k]
+    p[1:5] = [[-0.03, -0.02, 0], [-0.04, -0.04, 0.01], [-0.045, -0.05, 0.02], [-0.05, -0.06, 0.03]]
+    assert chirality(p, "right") < 0 < chirality(p, "left") + 2.0
+    assert chirality(p, "left") > chirality(p, "right")
+
+
+def test_edge_nan_fails_a_measurement() -> None:
+    report = VerifyReport()
+    report.measure(0, 0, "x", float("nan"), 1.0, "not a number")
+    assert not report.ok
+
+
+def test_edge_flipped_byte_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "c"
+    generate(load_config("fixtures", ["samples=1"]), out, progress=False)
+    tar = out / "image" / "000000.tar"
+    data = bytearray(tar.read_bytes())
+    data[900] ^= 255
+    tar.write_bytes(bytes(data))
+    report = verify(out)
+    assert any(f.check == "checksum" and "image/000000.tar" in f.message for f in report.failures)
