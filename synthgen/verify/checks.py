@@ -29,7 +29,6 @@ MASK_SHARE = 0.001  # of silhouette pixels
 DEPTH_M = DEPTH_STEP_M / 2 + 2e-5
 NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
 BONE_M = (0.05, 0.13)
-SKIN_HUE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,12 +253,18 @@ def check_image(measure: Any, sample: Sample, view: View) -> None:
     if hand.sum() < 50:
         return
     mean = view.image[hand].astype(np.float64).mean(axis=0)
-    excess = (mean[2] - mean[0]) / max(mean.sum(), 1)
-    light = sample.spec.scene.lights
-    colours = [light.constant_rgb, *(lamp.radiance_rgb for lamp in light.area)]
-    cold = max((c[2] / max(c[0], 1e-9) for c in colours if sum(c) > 0), default=1.0)
-    measure("skin hue", excess, SKIN_HUE * cold, "skin is bluer than red; channels swapped?")
+    if min(_redness(sample)) > 1.1:
+        measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
     measure("stale image", -_edge_gain(view), -1.15, "no edge where the hand's outline is")
+
+
+def _redness(sample: Sample) -> list[float]:
+    """Red over blue of each subject's skin under each light, as the truth has it."""
+    lights = sample.spec.scene.lights
+    colours = [lights.constant_rgb, *(lamp.radiance_rgb for lamp in lights.area)]
+    light = min(c[0] / max(c[2], 1e-9) for c in colours if sum(c) > 0)
+    return [s.skin.dorsal_rgb[0] / s.skin.dorsal_rgb[2] * light
+            for s in sample.spec.scene.subjects]  # fmt: skip
 
 
 def _edge_gain(view: View) -> float:
