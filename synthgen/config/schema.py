@@ -109,6 +109,9 @@ class BackgroundSettings(Weighted):
     room: Weight = 0.2
     """A box-shaped room around hand and cameras."""
 
+    empty: Weight = 0.0
+    """Nothing: depth 0, `valid` false; the surround's light shows. For compositing; cheapest."""
+
 
 class SkinSettings(Section):
     """Look of the skin."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from synthgen.errors import CorpusError
@@ -56,19 +58,60 @@ def make_folder(path: Path) -> None:
         raise CorpusError(f"the folder {path} cannot be written; choose another --out")
 
 
+class Growing:
+    """A file written piece by piece beside its place, and put there when it is whole.
+
+    Only one process at a time may grow a path; what a dead one left is overwritten.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._temporary = path.with_name(f".{path.name}.tmp")
+        with _explained(path):
+            self._file = open(self._temporary, "wb")  # closed by finish or abandon
+
+    def write(self, data: bytes) -> None:
+        """Append."""
+        with _explained(self.path):
+            self._file.write(data)
+
+    def finish(self) -> None:
+        """Put the file in its place; readers see the old content or the new."""
+        with _explained(self.path), self._file:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        os.replace(self._temporary, self.path)
+        _sync_folder(self.path.parent)
+
+    def abandon(self) -> None:
+        """Remove what is not finished."""
+        with suppress(OSError):
+            self._file.close()
+        self._temporary.unlink(missing_ok=True)
+
+
 def _write_beside(path: Path, data: bytes) -> Path:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with open(temporary, "wb") as file:
+        with _explained(path), open(temporary, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-    except OSError as error:
+    except CorpusError:
         temporary.unlink(missing_ok=True)
+        raise
+    return temporary
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Turn an operating system's error into one that says what to do."""
+    try:
+        yield
+    except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         hint = "free some space and run the same command again" if full else "check its rights"
         raise CorpusError(f"cannot write {path}: {error.strerror}; {hint}") from None
-    return temporary
 
 
 def _sync_folder(folder: Path) -> None:

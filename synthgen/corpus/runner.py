@@ -18,10 +18,11 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
 
 from synthgen.config import Config
 from synthgen.corpus import atomic, shards
-from synthgen.corpus.columns import Members, encode_view, key_of
+from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.manifest import write_manifest
 from synthgen.corpus.plan import read_plan, write_plan
 from synthgen.errors import CorpusError, WorkLeft
@@ -153,10 +154,12 @@ def _bar(progress: bool, config: Config, todo: list[int]) -> Iterator[Callable[[
 def _work(
     config: Config, out: Path, todo: list[int], maker: Maker, advance: Callable[[int], None]
 ) -> None:
-    attempt = maker(config) if todo else None
-    for shard in todo:
-        assert attempt is not None
-        make_shard(config, out, shard, attempt, advance)
+    if not todo:
+        return
+    with threadpool_limits(limits=1):
+        attempt = maker(config)
+        for shard in todo:
+            make_shard(config, out, shard, attempt, advance)
 
 
 def make_shard(
@@ -172,16 +175,15 @@ def make_shard(
             return
         first = shard * config.corpus.shard_size
         stop = min(first + config.corpus.shard_size, config.samples)
-        columns: dict[str, Members] = {name: {} for name in config.corpus.columns}
         redrawn: dict[str, list[str]] = {}
-        for spec in read_plan(out, first, stop):
-            made, views, reasons = _accepted(config, spec, attempt)
-            if reasons:
-                redrawn[str(spec.index)] = reasons
-            _collect(config, made, views, columns)
-            advance(1)
-        facts = {"samples": list(range(first, stop)), "redrawn": redrawn}
-        shards.commit_shard(out, shard, columns, facts)
+        with shards.ShardWriter(out, shard, config.corpus.columns) as writer:
+            for spec in read_plan(out, first, stop):
+                made, views, reasons = _accepted(config, spec, attempt)
+                if reasons:
+                    redrawn[str(spec.index)] = reasons
+                _write(config, made, views, writer)
+                advance(1)
+            writer.commit({"samples": list(range(first, stop)), "redrawn": redrawn})
 
 
 def _accepted(
@@ -203,14 +205,14 @@ def _accepted(
     )
 
 
-def _collect(
-    config: Config, spec: SampleSpec, views: list[RenderedView], columns: dict[str, Members]
+def _write(
+    config: Config, spec: SampleSpec, views: list[RenderedView], writer: shards.ShardWriter
 ) -> None:
     for number, view in enumerate(views):
         encoded = encode_view(spec, number, view, config.corpus.columns, config.corpus.jpeg_quality)
         key = key_of(spec.index, number)
         for column, members in encoded.items():
-            columns[column].update({f"{key}.{s}": data for s, data in members.items()})
+            writer.add(column, {f"{key}.{s}": data for s, data in members.items()})
 
 
 def _supervise(

@@ -6,7 +6,6 @@ A shard is done if and only if its sidecar exists; it is committed last, after e
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import tarfile
@@ -39,51 +38,65 @@ def sidecar_path(corpus: Path, shard: int) -> Path:
     return corpus / SIDECARS / f"{shard:06d}.json"
 
 
-def pack(members: Members) -> tuple[bytes, dict[str, Entry]]:
-    """Pack members by name into a tar whose bytes depend on nothing else."""
-    buffer = io.BytesIO()
-    index: dict[str, Entry] = {}
-    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name in sorted(members):
-            info = tarfile.TarInfo(name)
-            info.size, info.mtime, info.mode = len(members[name]), 0, 0o644
-            archive.addfile(info, io.BytesIO(members[name]))
-            index[name] = Entry(archive.offset - _padded(info.size), info.size)
-    return buffer.getvalue(), index
+class ShardWriter:
+    """Writes the tars of one shard member by member, so that memory does not grow with it.
 
-
-def _padded(size: int) -> int:
-    return -(-size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
-
-
-def commit_shard(
-    corpus: Path, shard: int, columns: dict[str, Members], facts: dict[str, Any]
-) -> None:
-    """Write every column's tar, then the sidecar.
-
-    The caller holds the shard's claim. Tars left by a writer that died are replaced.
-
-    Parameters
-    ----------
-    corpus : Path
-    shard : int
-    columns : dict
-        Members ``{KEY.suffix: bytes}`` by column.
-    facts : dict
-        Further JSON content of the sidecar: samples, attempts.
+    The caller holds the shard's claim. Use as a context: what is not committed is removed. The
+    bytes of a tar depend on its members' names, contents and order alone.
     """
-    described: dict[str, Any] = {}
-    for column, members in columns.items():
-        data, index = pack(members)
-        atomic.replace(tar_path(corpus, column, shard), data)
-        described[column] = {
-            "bytes": len(data),
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "members": {name: [entry.offset, entry.size] for name, entry in index.items()},
-        }
-    sidecar = {"shard": shard, "columns": described, **facts}
-    text = json.dumps(sidecar, sort_keys=True, separators=(",", ":")).encode()
-    atomic.commit(sidecar_path(corpus, shard), text)
+
+    def __init__(self, corpus: Path, shard: int, columns: tuple[str, ...]) -> None:
+        self._corpus, self._shard = corpus, shard
+        self._tars: dict[str, _Tar] = {}
+        for column in columns:
+            self._tars[column] = _Tar(tar_path(corpus, column, shard))
+
+    def __enter__(self) -> ShardWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for tar in self._tars.values():
+            tar.file.abandon()
+
+    def add(self, column: str, members: Members) -> None:
+        """Append members ``{KEY.suffix: bytes}``, by name."""
+        for name in sorted(members):
+            self._tars[column].add(name, members[name])
+
+    def commit(self, facts: dict[str, Any]) -> None:
+        """Put every tar in its place, then the sidecar with ``facts`` (samples, attempts)."""
+        columns = {column: tar.finish() for column, tar in self._tars.items()}
+        sidecar = {"shard": self._shard, "columns": columns, **facts}
+        text = json.dumps(sidecar, sort_keys=True, separators=(",", ":")).encode()
+        atomic.commit(sidecar_path(self._corpus, self._shard), text)
+
+
+class _Tar:
+    """A growing USTAR archive, its index and its checksum."""
+
+    def __init__(self, path: Path) -> None:
+        self.file = atomic.Growing(path)
+        self._hash = hashlib.sha256()
+        self._size = 0
+        self._members: dict[str, list[int]] = {}
+
+    def _write(self, data: bytes) -> None:
+        self.file.write(data)
+        self._hash.update(data)
+        self._size += len(data)
+
+    def add(self, name: str, data: bytes) -> None:
+        info = tarfile.TarInfo(name)
+        info.size, info.mtime, info.mode = len(data), 0, 0o644
+        self._write(info.tobuf(tarfile.USTAR_FORMAT))
+        self._members[name] = [self._size, len(data)]
+        self._write(data + bytes(-len(data) % tarfile.BLOCKSIZE))
+
+    def finish(self) -> dict[str, Any]:
+        end = self._size + 2 * tarfile.BLOCKSIZE
+        self._write(bytes(end - self._size + -end % tarfile.RECORDSIZE))
+        self.file.finish()
+        return {"bytes": self._size, "sha256": self._hash.hexdigest(), "members": self._members}
 
 
 def read_sidecar(corpus: Path, shard: int) -> dict[str, Any]:

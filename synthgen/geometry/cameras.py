@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
+from synthgen.geometry.normals import unit
 
 Array = NDArray[np.float64]
 
@@ -160,10 +161,8 @@ def pixel_rays(camera: Camera) -> tuple[Array, Array]:
     directions : (H, W, 3) float64
         World, unit length.
     """
-    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    xy = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1)
-    xy = undistort(camera, xy)
-    local = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-    directions = local @ camera.T[:3, :3].T
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    return camera.position, directions
+    local = np.ones((camera.height, camera.width, 3))
+    local[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
+    local[..., 1] = (np.arange(camera.height)[:, None] - camera.cy) / camera.fy
+    local[..., :2] = undistort(camera, local[..., :2])
+    return camera.position, unit(local.reshape(-1, 3) @ camera.T[:3, :3].T).reshape(local.shape)

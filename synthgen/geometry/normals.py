@@ -12,8 +12,9 @@ from scipy import sparse
 def face_cross(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.float64]:
     """Return (F, 3) edge cross products: normal direction, length twice the area."""
     corners = np.asarray(vertices, dtype=np.float64)[faces]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return np.cross(b - a, c - a)
+    ux, uy, uz = (corners[:, 1] - corners[:, 0]).T
+    vx, vy, vz = (corners[:, 2] - corners[:, 0]).T
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
 
 
 def vertex_normals(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.float64]:
@@ -42,6 +43,6 @@ def incidence(faces: NDArray[Any], n_vertices: int) -> sparse.csr_matrix:
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale vectors (..., 3) to length 1; zero stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))[..., None]
     result: NDArray[np.float64] = vectors / np.maximum(length, 1e-300)
     return result

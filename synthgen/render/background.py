@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft, special
 
 from synthgen.geometry.cameras import Camera
 from synthgen.sampling.streams import stream
@@ -19,6 +22,7 @@ QUADS = 6
 _UV = np.tile(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32), (QUADS, 1))
 _WALL_HALF_M = 6.0
 _WALL_REPEAT_M = 0.8
+_NOWHERE_M = np.array([0.0, -50.0, 0.0])
 
 
 def wall_triangles() -> NDArray[np.uint32]:
@@ -31,8 +35,10 @@ def wall_geometry(background: Background, camera: Camera) -> tuple[Array, NDArra
     """Corners (24, 3) of the six quads, world, metres, and their texture coordinates (24, 2).
 
     A room uses all six as the inside of a box; a wall uses one, facing the camera, and hides the
-    others behind it.
+    others behind it; nothing has them shrunk to a point under the world.
     """
+    if background.kind == "empty":
+        return np.tile(_NOWHERE_M, (4 * QUADS, 1)), _UV
     if background.kind == "room":
         corners = _room(np.array(background.centre_m), background.distance_m)
         return corners, (_UV * 2 * background.distance_m / _WALL_REPEAT_M / 3).astype(np.float32)
@@ -76,35 +82,46 @@ def wall_texture(background: Background) -> Image:
     if background.kind != "plain":
         pattern = pattern + _pattern(rng)
     share = np.clip(pattern, 0, 1)[..., None]
-    colours = np.array(background.colour_rgb), np.array(background.accent_rgb)
+    first, second = (
+        np.array(c, np.float32) for c in (background.colour_rgb, background.accent_rgb)
+    )
     grain = 1 + 0.05 * _cloud(rng, 2)[..., None]
-    mixed = ((1 - share) * colours[0] + share * colours[1]) * grain
-    return np.asarray(np.clip(mixed, 0.01, 0.95), dtype=np.float32)
+    return np.asarray(np.clip((first + share * (second - first)) * grain, 0.01, 0.95))
 
 
-def _pattern(rng: np.random.Generator) -> Array:
+def _pattern(rng: np.random.Generator) -> Image:
     """Stripes, checks, tiles with joints, blotches or grain."""
     kind = ("stripes", "checks", "tiles", "blotches", "grain")[rng.integers(5)]
-    y, x = np.mgrid[:TEXTURE_PX, :TEXTURE_PX] / TEXTURE_PX
+    steps = np.arange(TEXTURE_PX, dtype=np.float32) / TEXTURE_PX
+    y, x = steps[:, None], steps[None]
     n = int(rng.integers(2, 9))
     if kind == "stripes":
-        return np.asarray(((x * n + 0.02 * _cloud(rng, 32)) % 1 < rng.uniform(0.2, 0.6)) * 0.9)
+        share = np.float32(rng.uniform(0.2, 0.6))
+        return 0.9 * ((x * n + 0.02 * _cloud(rng, 32)) % 1 < share).astype(np.float32)
     if kind == "checks":
-        return np.asarray(((np.floor(x * 2 * n) + np.floor(y * 2 * n)) % 2) * 0.9)
+        return np.asarray(0.9 * ((np.floor(x * 2 * n) + np.floor(y * 2 * n)) % 2), np.float32)
     if kind == "tiles":
         joint = ((x * n) % 1 < 0.04) | ((y * n) % 1 < 0.04)
-        return np.asarray(np.where(joint, 1.0, 0.12 * _cloud(rng, 48)))
+        return np.where(joint, np.float32(1), 0.12 * _cloud(rng, 48))
     if kind == "blotches":
-        return np.asarray(1 / (1 + np.exp(-4 * _cloud(rng, int(rng.integers(8, 60))))))
-    streaks = cv2.resize(rng.standard_normal((256, 8)), (TEXTURE_PX, TEXTURE_PX))
-    return np.asarray(0.4 + 0.3 * streaks + 0.1 * _cloud(rng, 4))
+        return np.asarray(special.expit(4 * _cloud(rng, int(rng.integers(8, 60)))))
+    streaks = rng.standard_normal((256, 8)).astype(np.float32)
+    wide = np.asarray(cv2.resize(streaks, (TEXTURE_PX,) * 2), np.float32)
+    return 0.4 + 0.3 * wide + 0.1 * _cloud(rng, 4)
 
 
-def _cloud(rng: np.random.Generator, size_px: int) -> Array:
-    """Tileable band-limited noise with unit standard deviation."""
-    white = np.fft.rfft2(rng.standard_normal((TEXTURE_PX, TEXTURE_PX)))
-    fy, fx = np.fft.fftfreq(TEXTURE_PX)[:, None], np.fft.rfftfreq(TEXTURE_PX)[None]
-    smooth = np.exp(-0.5 * (fx**2 + fy**2) * (size_px * 2) ** 2)
-    noise = np.fft.irfft2(white * smooth, s=(TEXTURE_PX, TEXTURE_PX))
-    noise -= noise.mean()
-    return np.asarray(noise / noise.std())
+def _cloud(rng: np.random.Generator, size_px: int) -> Image:
+    """Tileable band-limited noise (512, 512) with unit standard deviation.
+
+    White noise under a Gaussian of ``2 size_px``, drawn as the few Fourier coefficients that pass.
+    """
+    width = TEXTURE_PX / (2 * size_px)
+    top = min(TEXTURE_PX // 2 - 1, math.ceil(3.5 * width))
+    fy, fx = np.arange(-top, top + 1), np.arange(top + 1)
+    drawn = rng.standard_normal((2 * top + 1, top + 1, 2), dtype=np.float32) @ [1, 1j]
+    drawn *= np.exp(-0.5 * (fx[None] ** 2 + fy[:, None] ** 2) / width**2)
+    drawn[top, 0] = 0  # no mean
+    spectrum = np.zeros((TEXTURE_PX, TEXTURE_PX // 2 + 1), dtype=np.complex64)
+    spectrum[fy, : top + 1] = drawn
+    noise = fft.irfft2(spectrum, s=(TEXTURE_PX, TEXTURE_PX))
+    return np.asarray(noise / noise.std(), dtype=np.float32)

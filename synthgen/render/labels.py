@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import Camera, pixel_rays
-from synthgen.geometry.normals import unit
+from synthgen.geometry.hits import meet
 from synthgen.render import backend
-from synthgen.render.upload import LiveScene, Solid
+from synthgen.render.upload import LiveScene
 
 Array = NDArray[np.float64]
 NOTHING, LAMP = -1, 1000
@@ -84,7 +84,7 @@ def trace(live: LiveScene, origin: Array, directions: Array) -> Hits:
     dr: Any = backend.drjit()
     o = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin))
     d = mi.Vector3f(*(mi.Float(c) for c in directions.T.astype(np.float32)))
-    found = live.scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=True)
+    found = live.scene.ray_intersect_preliminary(mi.Ray3f(o, d))
     dr.eval(found)  # one trace; every conversion below would repeat it otherwise
     registered = np.array(dr.reinterpret_array(mi.UInt32, found.shape))
     solid = np.full(len(directions), NOTHING, dtype=np.int32)
@@ -105,39 +105,18 @@ def _refined(
 ) -> Hits:
     n = len(solid)
     barycentric, distance, normal = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3))
+    out = barycentric, distance, normal
     for k, mesh in enumerate(live.solids):
         own = np.flatnonzero(solid == k)
-        if len(own):
-            meet = _meet(mesh, prim[own], origin, rays[own])
-            barycentric[own], distance[own], normal[own] = meet
+        meet(mesh.vertices, mesh.triangles, mesh.normals, own, prim, origin, rays, out)
     for k, frame in enumerate(live.lamps):
         own = np.flatnonzero(solid == LAMP + k)
         axis = frame[:3, 2]
-        distance[own] = (frame[:3, 3] - origin) @ axis / (rays[own] @ axis)
-        normal[own] = axis
-    facing = np.sum(normal * rays, axis=1, keepdims=True)
-    prim = np.where((solid >= 0) & (solid < LAMP), prim, 0)
-    return Hits(solid, prim, barycentric, distance, np.where(facing > 0, -normal, normal))
-
-
-def _meet(
-    mesh: Solid, prim: NDArray[np.int64], origin: Array, rays: Array
-) -> tuple[Array, Array, Array]:
-    """Barycentrics, distance and normal where rays meet the planes of given triangles."""
-    triangles = mesh.triangles[prim]
-    a, b, c = (mesh.vertices[triangles[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    distance = np.sum((a - origin) * cross, axis=1) / np.sum(rays * cross, axis=1)
-    p = origin + distance[:, None] * rays
-    area = np.sum(cross * cross, axis=1)
-    wb = np.sum(np.cross(p - a, c - a) * cross, axis=1) / area
-    wc = np.sum(np.cross(b - a, p - a) * cross, axis=1) / area
-    weights = np.clip(np.stack([1 - wb - wc, wb, wc], axis=1), 0, 1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    if mesh.normals is None:
-        return weights, distance, unit(cross)
-    smooth = np.einsum("ni,nij->nj", weights, mesh.normals[triangles])
-    return weights, distance, unit(smooth)
+        along = rays[own] @ axis
+        distance[own] = (frame[:3, 3] - origin) @ axis / along
+        normal[own] = -np.sign(along)[:, None] * axis
+    prim[(solid < 0) | (solid >= LAMP)] = 0
+    return Hits(solid, prim, barycentric, distance, normal)
 
 
 def label_view(live: LiveScene, camera: Camera) -> Labels:

@@ -165,7 +165,7 @@ class LiveScene:
         corners = corners.astype(np.float32)
         self._params["wall.vertex_positions"] = corners.ravel()
         self._params["wall.vertex_texcoords"] = _flip_v(uv)
-        if self._wall != scene.background:
+        if self._wall != scene.background and scene.background.kind != "empty":
             self._wall = scene.background
             texture = background.wall_texture(scene.background)
             key = "wall.bsdf.brdf_0.reflectance.data"

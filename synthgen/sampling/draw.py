@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Streams = Callable[[str], np.random.Generator]
 
 POSE_TRIES = 200
-PLACEMENT_TRIES = 16
+PLACEMENT_TRIES = 32
 MIRROR = np.array([1.0, -1.0, -1.0])  # axis-angle of a mirrored rotation, papers' A.1-A.5
 
 
@@ -137,13 +137,19 @@ class _Placed:
 def _place(
     config: Config, person: _Person, hand: Hand, pose: Array, index: int, streams: Streams
 ) -> _Placed:
-    """Turn the hand, put cameras around it and find an arm that leaves every picture."""
+    """Turn the hand, put cameras around it and find an arm that leaves every picture.
+
+    The hand keeps its turn to the camera while cameras and arms are tried, so that rejections do
+    not colour the distribution of turns; only a turn that fails for long is drawn again.
+    """
     model = load(config.model.name, hand=hand)
     turn, look, arms = streams("orientation"), streams("camera"), streams("arm")
     seen_from = _orientation(config, hand, turn)
     centre = np.array([0.0, 1.25, 0.0]) + look.uniform(-0.2, 0.2, 3)
     found = None
-    for _ in range(PLACEMENT_TRIES):
+    for number in range(PLACEMENT_TRIES):
+        if number >= PLACEMENT_TRIES // 2:
+            seen_from = _orientation(config, hand, turn)
         view = placement.sample_view(rng=look)
         rotation = axis_angle_from_matrix(view @ seen_from)
         still = _subject(config, person, hand, np.vstack([rotation, _sided(pose, hand)[1:]]))

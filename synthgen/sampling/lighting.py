@@ -84,7 +84,7 @@ def sample_background(
 
     Parameters
     ----------
-    kind : {"plain", "procedural", "room"}
+    kind : {"plain", "procedural", "room", "empty"}
     centre : (3,)
         World point that the first camera looks at, metres.
     behind_m : float

@@ -18,7 +18,7 @@ WRIST_DEG = np.array([35.0, 15.0, 25.0])
 ELBOW_DEG = (10.0, 120.0)
 ARM_TRIES = 32
 # No part of the arm comes nearer to a camera than this, metres.
-NEAREST_ARM_M = 0.15
+NEAREST_ARM_M = 0.06
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def camera_position(
     """
     local = points @ view
     middle = (local.min(axis=0) + local.max(axis=0)) / 2
-    local = local - middle
+    local = np.asfortranarray(local - middle)
     want = fill * min(lens.width, lens.height)
     near = max(0.12, -local[:, 2].min() + 0.08)
     low, high = near, 20.0
@@ -116,8 +116,8 @@ def camera_position(
 
 
 def _span(local: Array, distance: float, lens: Lens) -> float:
-    pixels = lens.focal_px * local[:, :2] / (local[:, 2:] + distance)
-    return float(np.ptp(pixels, axis=0).max())
+    x, y = local[:, 0] / (local[:, 2] + distance), local[:, 1] / (local[:, 2] + distance)
+    return float(lens.focal_px * max(x.max() - x.min(), y.max() - y.min()))
 
 
 def _centre(local: Array, distance: float, lens: Lens) -> Array:

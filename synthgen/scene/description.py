@@ -89,11 +89,11 @@ class Background:
 
     ``plain`` and ``procedural``: one wall facing the first camera, ``distance_m`` behind the
     point (``centre_m``) that it looks at; ``room``: an axis-aligned box around ``centre_m`` whose
-    walls are ``distance_m`` away, floor at y = 0. ``seed`` keys the procedural texture;
-    ``colour_rgb`` and ``accent_rgb`` are linear reflectances.
+    walls are ``distance_m`` away, floor at y = 0; ``empty``: nothing. ``seed`` keys the
+    procedural texture; ``colour_rgb`` and ``accent_rgb`` are linear reflectances.
     """
 
-    kind: Literal["plain", "procedural", "room"]
+    kind: Literal["plain", "procedural", "room", "empty"]
     colour_rgb: Vec3
     accent_rgb: Vec3
     seed: int

@@ -12,7 +12,6 @@ import pytest
 
 from synthgen.config import Config, load_config
 from synthgen.corpus import atomic, open_corpus, shards
-from synthgen.corpus import runner as runner_module
 from synthgen.corpus.runner import Maker, generate
 from synthgen.errors import CorpusError, IntegrityError, WorkLeft
 
@@ -54,7 +53,7 @@ def test_properties_resumes_after_an_interrupt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, out = make(tmp_path / "whole"), tmp_path / "cut"
-    commit, count = shards.commit_shard, 0
+    commit, count = shards.ShardWriter.commit, 0
 
     def interrupted(*args: object, **kwargs: object) -> None:
         nonlocal count
@@ -63,7 +62,7 @@ def test_properties_resumes_after_an_interrupt(
             raise KeyboardInterrupt
         commit(*args, **kwargs)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(runner_module.shards, "commit_shard", interrupted)
+    monkeypatch.setattr(shards.ShardWriter, "commit", interrupted)
     with pytest.raises(WorkLeft, match="same command"):
         make(out)
     assert shards.done_shards(out) == [0]

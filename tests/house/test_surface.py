@@ -26,7 +26,8 @@ KEYS = [
     "pose.gmm_share", "pose.gmm_components", "pose.pca_components", "pose.penetration_limit_m",
     "orientation.mode", "orientation.cone_deg", "camera.views", "camera.fov_deg", "camera.fill",
     "camera.offset", "light.constant", "light.area", "light.room", "background.plain",
-    "background.procedural", "background.room", "skin.tones", "render.width", "render.height",
+    "background.procedural", "background.room", "background.empty",
+    "skin.tones", "render.width", "render.height",
     "render.spp", "render.quality", "render.max_depth", "render.variant", "corpus.shard_size",
     "corpus.columns", "corpus.jpeg_quality",
 ]  # fmt: skip

@@ -52,6 +52,26 @@ def test_smoke_shapes(renderer: Renderer) -> None:
     assert view.image.std() > 5
 
 
+def test_smoke_nothing_behind_the_hand(renderer: Renderer) -> None:
+    """An empty background is depth 0 and invalid, lit by the surround, and changes no hand."""
+    walled, empty = (
+        renderer.render(spec(1, "light.room=0", f"background.{kind}=1", *others))[0]
+        for kind, others in (
+            ("plain", ("background.procedural=0", "background.room=0")),
+            ("empty", ("background.plain=0", "background.procedural=0", "background.room=0")),
+        )
+    )
+    off = empty.labels.instance_id == 0
+    assert not empty.labels.valid[off].any()
+    assert not empty.labels.depth_z_m[off].any()
+    assert not empty.labels.normals[off].any()
+    assert empty.linear is not None
+    ordinary = np.median(empty.linear[off], axis=0)
+    assert np.mean(np.abs(empty.linear[off] - ordinary).max(axis=1) < 1e-5) > 0.9
+    assert np.array_equal(walled.labels.instance_id, empty.labels.instance_id)
+    assert np.array_equal(walled.labels.depth_z_m[~off], empty.labels.depth_z_m[~off])
+
+
 @pytest.mark.parametrize("near_clip", [0.01, 0.3])
 def test_reference_slanted_plane(renderer: Renderer, near_clip: float) -> None:
     """A wall seen at a slant: depth, distance and normal by hand, at two near clips."""

@@ -66,7 +66,7 @@ def test_edge_arm_end_in_frame_is_seen() -> None:
 
 def test_edge_arm_too_near() -> None:
     camera = lens_at_origin().camera(np.eye(4))
-    end, arm = np.array([[2.0, 0, 1]]), np.array([[0.0, 0, 0.1]])
+    end, arm = np.array([[2.0, 0, 1]]), np.array([[0.0, 0, 0.9 * placement.NEAREST_ARM_M]])
     assert not placement.arm_leaves_frame(end, arm, (camera,))
 
 
