@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
+from threadpoolctl import threadpool_limits
 
 from synthgen.config import Config, config_hash, resolved_yaml
 from synthgen.corpus import atomic
@@ -104,7 +105,8 @@ def _begin_part(out: Path) -> int:
 
 def _drawn_rows(config: Config, first: int, workers: int) -> Iterator[bytes]:
     if workers == 1 or config.samples - first < WORTH_WORKERS:
-        yield from (_row(config, index) for index in range(first, config.samples))
+        with threadpool_limits(limits=1):
+            yield from (_row(config, index) for index in range(first, config.samples))
         return
     chunks = [range(a, min(a + CHUNK, config.samples)) for a in range(first, config.samples, CHUNK)]
     context = multiprocessing.get_context("spawn")
