@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from synthgen.models.mano import ManoModel, Posed
+    from synthgen.models.model import BodyModel, Posed
 
 FINGERS: Final = ("index", "middle", "pinky", "ring", "thumb")
 MANO16_NAMES: Final = ("wrist", *(f"{f}{k}" for f in FINGERS for k in (1, 2, 3)))
@@ -39,12 +39,12 @@ PART_SLEEVE: Final = 18
 PART_OBJECT: Final = 19
 
 
-def openpose21(model: ManoModel, posed: Posed) -> NDArray[np.float32]:
+def openpose21(model: BodyModel, posed: Posed) -> NDArray[np.float32]:
     """Return the 21 hand keypoints in OpenPose order.
 
     Parameters
     ----------
-    model : ManoModel
+    model : BodyModel
         Whose ``fingertip_ids`` give the tips.
     posed : Posed
 
