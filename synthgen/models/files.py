@@ -132,6 +132,7 @@ def _build(arrays: dict[str, Any], path: Path, own: Hand, official_left_shape: b
         else loft_surface(a["v_template"], a["shapedirs"], faces, a["weights"], joints, tips)
     )
     return ManoModel(
+        family="mano",
         name=path.stem if path.parent == DATA.resolve() else str(path),
         hand=own,
         digest=_digest(a),
