@@ -1,15 +1,17 @@
 """Hand models: files, evaluation, mirroring, joint tables and the drawn surface."""
 
 from synthgen.models.constrained import ConstrainedTree
-from synthgen.models.files import list_models, load
+from synthgen.models.files import load, load_content, load_hand
+from synthgen.models.finding import list_models
 from synthgen.models.hand_pca import pose_from_pca
-from synthgen.models.joints import openpose21
+from synthgen.models.keypoints import KEYPOINTS73_NAMES, keypoints73, openpose21
 from synthgen.models.mano import ManoModel
 from synthgen.models.mirror import mirror_model, mirror_pose
 from synthgen.models.model import BodyModel, HandSpace, Posed
 from synthgen.models.surface import Arm, HandSurface, pose_surface
 
 __all__ = [
+    "KEYPOINTS73_NAMES",
     "Arm",
     "BodyModel",
     "ConstrainedTree",
@@ -17,8 +19,11 @@ __all__ = [
     "HandSurface",
     "ManoModel",
     "Posed",
+    "keypoints73",
     "list_models",
     "load",
+    "load_content",
+    "load_hand",
     "mirror_model",
     "mirror_pose",
     "openpose21",

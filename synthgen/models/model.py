@@ -108,6 +108,9 @@ class BodyModel:
     fingertip_ids : (5,) int64, bodies (10,), else (0,)
         Thumb, index, middle, ring, pinky (bodies: left, then right); ``fingertip_set`` names the
         choice.
+    landmark_ids : (11,) int64, else (0,)
+        Vertices of a whole body's nose, eyes, ears, toes and heels, in the order of
+        ``joints.LANDMARK_NAMES``.
     axis_meta : ConstrainedTree or None
         Given: the pose is (B, P) angles.
     constrained : "official" or "consistent"
@@ -139,6 +142,7 @@ class BodyModel:
     hands_right: HandSpace | None = None
     fingertip_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fingertip_set: str = ""
+    landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     axis_meta: ConstrainedTree | None = None
     constrained: Constrained = "official"
     provenance: str = ""
