@@ -9,6 +9,8 @@ from synthgen.models.mano import ManoModel
 from synthgen.models.mirror import mirror_model, mirror_pose
 from synthgen.models.model import BodyModel, HandSpace, Posed
 from synthgen.models.surface import Arm, HandSurface, pose_surface
+from synthgen.models.symmetry import Symmetry, symmetry_of
+from synthgen.models.writing import convert
 
 __all__ = [
     "KEYPOINTS73_NAMES",
@@ -19,6 +21,8 @@ __all__ = [
     "HandSurface",
     "ManoModel",
     "Posed",
+    "Symmetry",
+    "convert",
     "keypoints73",
     "list_models",
     "load",
@@ -29,4 +33,5 @@ __all__ = [
     "openpose21",
     "pose_from_pca",
     "pose_surface",
+    "symmetry_of",
 ]

@@ -86,6 +86,7 @@ def build_body(content: Content) -> BodyModel:
         landmark_ids=_vertex_ids(content, "landmark_ids", 11)
         if "landmark_ids" in content.arrays
         else np.array(tables.LANDMARKS.get(v, ()), dtype=np.int64),
+        vert_sym_idxs=content.ids("vert_sym_idxs") if "vert_sym_idxs" in content.arrays else None,
         axis_meta=tree,
         provenance=_provenance(content),
     )

@@ -34,6 +34,7 @@ from synthgen.models.constrained import Constrained, ConstrainedTree
 if TYPE_CHECKING:
     from synthgen.models.jacobian import Jacobian
     from synthgen.models.packed import Packed
+    from synthgen.models.row_bases import RowBases
 
 Array = NDArray[np.float64]
 Hand = Literal["left", "right"]
@@ -111,6 +112,8 @@ class BodyModel:
     landmark_ids : (11,) int64, else (0,)
         Vertices of a whole body's nose, eyes, ears, toes and heels, in the order of
         ``joints.LANDMARK_NAMES``.
+    vert_sym_idxs : (V,) int64 or None
+        Mirror image of each vertex, where the file says so.
     axis_meta : ConstrainedTree or None
         Given: the pose is (B, P) angles.
     constrained : "official" or "consistent"
@@ -143,6 +146,7 @@ class BodyModel:
     fingertip_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fingertip_set: str = ""
     landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    vert_sym_idxs: NDArray[np.int64] | None = None
     axis_meta: ConstrainedTree | None = None
     constrained: Constrained = "official"
     provenance: str = ""
@@ -284,3 +288,10 @@ class BodyModel:
         from synthgen.models.packed import pack
 
         return pack(self, np.float64)
+
+    @cached_property
+    def row_bases(self) -> RowBases:
+        """Bases by vertex, made on first use (for the Jacobian)."""
+        from synthgen.models.row_bases import row_bases
+
+        return row_bases(self)
