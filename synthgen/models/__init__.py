@@ -8,6 +8,7 @@ from synthgen.models.keypoints import KEYPOINTS73_NAMES, keypoints73, openpose21
 from synthgen.models.mano import ManoModel
 from synthgen.models.mirror import mirror_model, mirror_pose
 from synthgen.models.model import BodyModel, HandSpace, Posed
+from synthgen.models.parts import Part, separate
 from synthgen.models.surface import Arm, HandSurface, pose_surface
 from synthgen.models.symmetry import Symmetry, symmetry_of
 from synthgen.models.writing import convert
@@ -20,6 +21,7 @@ __all__ = [
     "HandSpace",
     "HandSurface",
     "ManoModel",
+    "Part",
     "Posed",
     "Symmetry",
     "convert",
@@ -33,5 +35,6 @@ __all__ = [
     "openpose21",
     "pose_from_pca",
     "pose_surface",
+    "separate",
     "symmetry_of",
 ]

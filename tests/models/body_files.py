@@ -108,7 +108,8 @@ def _weights(rng: np.random.Generator, v: int, k: int, parents: Any) -> Any:
     weights = np.zeros((v, k))
     owner = rng.integers(0, k, v)
     for i, j in enumerate(owner):
-        for joint in {int(j), max(parents[j], 0), int(rng.integers(0, k))}:
+        far = int(rng.integers(0, k)) if rng.random() < 0.02 else int(j)
+        for joint in {int(j), max(parents[j], 0), max(parents[max(parents[j], 0)], 0), far}:
             weights[i, joint] = rng.random() + 0.05
     return weights / weights.sum(axis=1, keepdims=True)
 
