@@ -1,4 +1,8 @@
-"""Hand models: files, evaluation, mirroring, joint tables and the drawn surface."""
+"""Hand and body models: files, evaluation, derivatives, mirroring, parts, the drawn surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.files import load, load_content, load_hand
@@ -11,9 +15,13 @@ from synthgen.models.mirror import mirror_model, mirror_pose
 from synthgen.models.model import BodyModel, HandSpace, Posed
 from synthgen.models.parts import Part, separate
 from synthgen.models.pose_maps import MappedPose, map_pose
+from synthgen.models.recentre import recentre
 from synthgen.models.surface import Arm, HandSurface, pose_surface
 from synthgen.models.symmetry import Symmetry, symmetry_of
 from synthgen.models.writing import convert
+
+if TYPE_CHECKING:
+    from synthgen.models.as_torch_layer import as_torch
 
 __all__ = [
     "KEYPOINTS73_NAMES",
@@ -28,6 +36,7 @@ __all__ = [
     "Posed",
     "Symmetry",
     "VertexFit",
+    "as_torch",
     "convert",
     "fit_vertices",
     "keypoints73",
@@ -42,6 +51,16 @@ __all__ = [
     "pca_from_pose",
     "pose_from_pca",
     "pose_surface",
+    "recentre",
     "separate",
     "symmetry_of",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Bring in torch only when ``as_torch`` is asked for."""
+    if name == "as_torch":
+        from synthgen.models.as_torch_layer import as_torch
+
+        return as_torch
+    raise AttributeError(f"module 'synthgen.models' has no attribute {name!r}; it has {__all__}")

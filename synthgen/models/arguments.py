@@ -42,6 +42,7 @@ def checked(
     pose: Any,
     translation: Any = None,
     expression: Any = None,
+    *,
     flat_hand_mean: bool | None = None,
 ) -> Arguments:
     """Check and convert; arguments as ``BodyModel.evaluate``.

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from synthgen.models.packed import Packed
 
 Array = NDArray[np.float64]
-CHUNK = 64
+# Samples in one matrix product. A basis beyond the caches is read once a chunk, so that chunks
+# are large; otherwise they are small, because fresh memory costs more than arithmetic.
+_CHUNK, _SMALL_CHUNK, _CACHED_BYTES = 256, 64, 4 * 2**20
+# From this many samples on, vectorising over samples beats going through them one by one.
+_TILED_FROM = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +53,10 @@ def evaluate(
     model: BodyModel, shape: Any, pose: Any, translation: Any, expression: Any, flat: bool | None
 ) -> Posed:
     """Evaluate a batch; see ``BodyModel.evaluate``."""
-    given = checked(model, shape, pose, translation, expression, flat)
+    given = checked(model, shape, pose, translation, expression, flat_hand_mean=flat)
     packed = model.packed
     skeleton = pose_skeleton(model, given, packed)
-    vertices, _ = pose_vertices(packed, skeleton, given.translation)
+    vertices = pose_vertices(packed, skeleton, given.translation)
     return Posed(
         vertices=vertices,
         joints=skeleton.transforms[..., :3, 3].astype(np.float32),
@@ -64,7 +68,7 @@ def evaluate_joints(
     model: BodyModel, shape: Any, pose: Any, translation: Any, expression: Any, flat: bool | None
 ) -> NDArray[np.float32]:
     """Evaluate joints alone; see ``BodyModel.evaluate_joints``."""
-    given = checked(model, shape, pose, translation, expression, flat)
+    given = checked(model, shape, pose, translation, expression, flat_hand_mean=flat)
     skeleton = pose_skeleton(model, given, model.packed)
     return skeleton.transforms[..., :3, 3].astype(np.float32)
 
@@ -87,29 +91,43 @@ def pose_skeleton(model: BodyModel, given: Arguments, packed: Packed) -> Skeleto
     return Skeleton(coefficients, rotations, features, joints, transforms, skin)
 
 
-def pose_vertices(
-    packed: Packed, skeleton: Skeleton, translation: Array
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return posed vertices (B, V, 3) and the corrected rest planes (b, 3, V) of the last chunk.
-
-    Batches go through in chunks, so that the planes of one stay in the cache.
-    """
+def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDArray[Any]:
+    """Return posed vertices (B, V, 3)."""
     n, v, dtype = len(skeleton.skin), len(packed.weights), packed.basis.dtype
-    features = skeleton.features.reshape(n, skeleton.features[0].size if n else 0).astype(dtype)
-    rows = [features[:, packed.dense], skeleton.coefficients.astype(dtype)]
-    coefficients = np.concatenate(rows, axis=1)
-    basis, moved = packed.basis[: coefficients.shape[1]], translation.astype(dtype)
-    planes, vertices = np.empty((min(n, CHUNK), 3, v), dtype), np.empty((n, v, 3), dtype)
+    features, coefficients = basis_coefficients(packed, skeleton)
+    moved, out = translation.astype(dtype), np.empty((n, v, 3), dtype)
+    size = min(n, _SMALL_CHUNK if packed.basis.nbytes < _CACHED_BYTES else _CHUNK)
+    scratch = np.empty(3 * v * (size + kernels.TILE), dtype)
     runs = packed.runs
-    for part in (slice(k, min(k + CHUNK, n)) for k in range(0, n, CHUNK)):
-        planes = planes[: part.stop - part.start]
-        np.matmul(coefficients[part], basis, out=planes.reshape(len(planes), 3 * v))
-        kernels.skin_vertices(
-            planes, features[part], runs.start, runs.feature, runs.offset, runs.values,
+    for part in (slice(k, min(k + size, n)) for k in range(0, n, max(size, 1))):
+        skinned, points = _rest_points(packed, coefficients[part], scratch)
+        skinned(
+            points, features[part], runs.start, runs.feature, runs.offset, runs.values,
             skeleton.skin[part], packed.joint_ids, packed.weights, packed.excess, moved[part],
-            vertices[part],
+            out[part].reshape(-1, 3 * v),
         )  # fmt: skip
-    return vertices, planes
+    return out
+
+
+def basis_coefficients(packed: Packed, skeleton: Skeleton) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return pose features (B, K q), and what multiplies the basis' first rows (B, r)."""
+    n = len(skeleton.skin)
+    features = skeleton.features.reshape(n, -1 if n else 1).astype(packed.basis.dtype)
+    rows = [features[:, packed.dense] if n else features, skeleton.coefficients]
+    return features, np.concatenate(rows, axis=1, dtype=packed.basis.dtype)
+
+
+def _rest_points(
+    packed: Packed, coefficients: NDArray[Any], scratch: NDArray[Any]
+) -> tuple[Any, NDArray[Any]]:
+    """Return the skinning kernel for a chunk, and rest points by its dense bases."""
+    n = len(coefficients)
+    basis = packed.basis[: coefficients.shape[1]]
+    if n < _TILED_FROM:
+        return kernels.skin_samples, coefficients @ basis
+    filled = np.pad(coefficients, ((0, -n % kernels.TILE), (0, 0)))
+    points = scratch[: basis.shape[1] * len(filled)].reshape(basis.shape[1], len(filled))
+    return kernels.skin_tiles, np.matmul(basis.T, filled.T, out=points)
 
 
 def _coefficients(model: BodyModel, given: Arguments, joint_basis: Array) -> tuple[Array, Array]:

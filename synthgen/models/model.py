@@ -155,12 +155,12 @@ class BodyModel:
     @property
     def n_shape(self) -> int:
         """Shape coefficients (nb)."""
-        return self.shapedirs.shape[2]
+        return int(self.shapedirs.shape[2])
 
     @property
     def n_expression(self) -> int:
         """Expression coefficients (ne), 0 where the model has none."""
-        return 0 if self.exprdirs is None else self.exprdirs.shape[2]
+        return 0 if self.exprdirs is None else int(self.exprdirs.shape[2])
 
     @property
     def n_pose(self) -> int:
