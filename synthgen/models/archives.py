@@ -111,9 +111,18 @@ def _array(
             f"an array declares shape {shape} and dtype {dtype}, {wanted} bytes, but "
             f"{len(data) - start} are there"
         )
+    if not wanted:
+        return _empty(dtype, shape)
     array = np.frombuffer(data, dtype=dtype, offset=start, count=math.prod(shape))
     shaped = array.reshape(shape, order="F" if fortran else "C")
     return shaped if dtype.isnative else shaped.astype(dtype.newbyteorder("="))
+
+
+def _empty(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    try:
+        return np.zeros(shape, dtype)
+    except ValueError:
+        raise ModelError(f"an array declares shape {shape}") from None
 
 
 def _header(data: bytes) -> tuple[Any, tuple[int, ...], bool, int]:

@@ -21,6 +21,8 @@ SUFFIXES = (".npz", ".pkl", ".npy")
 # The nested dict of constrained SUPR files; in an archive its keys stand beside the others.
 META = "axis_meta"
 META_PREFIX = "axis_meta_"
+# Characters of a text, or of a table of names, that are still taken for one.
+_TEXT = 2**16
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +129,14 @@ def _array(value: Any) -> NDArray[Any] | None:
         return value
     if isinstance(value, bytes):
         value = value.decode("latin1")
-    if isinstance(value, str | bool | int | float):
+    if isinstance(value, str):
+        return np.asarray(value) if len(value) <= _TEXT else None
+    if isinstance(value, bool | int | float):
         array = np.asarray(value)
-        return array if array.dtype.kind in "biufU" else None
+        return array if array.dtype.kind in "biuf" else None
     if isinstance(value, list) and all(isinstance(v, str) for v in value):
-        return np.array(value, dtype=str)
+        wide = len(value) * max(map(len, value), default=0)
+        return np.array(value, dtype=str) if wide <= _TEXT else None
     if isinstance(value, list) and value and all(isinstance(v, int | float) for v in value):
         return np.array(value, dtype=np.float64)
     return None

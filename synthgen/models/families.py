@@ -229,6 +229,8 @@ def _constrained_warnings(content: Content) -> tuple[str, ...]:
         ConstrainedTree.from_meta(content.meta, content.arrays["weights"].shape[1])
     except ModelError as error:
         raise content.fail(str(error)) from None
+    except (ValueError, TypeError, OverflowError) as error:
+        raise content.fail(f"axis_meta: a list that is no table of numbers ({error})") from None
     return (
         "constrained tree: early female and male files had axes on wrong joints; compare the "
         "file's hash with that of a fresh download",

@@ -81,7 +81,7 @@ def pca_from_pose(
     wanted = values if flat_hand_mean else values - space.mean
     coefficients = np.linalg.lstsq(rows.T, wanted.T)[0].T
     left = wanted - coefficients @ rows
-    return coefficients, np.sqrt(np.mean(left**2, axis=1))
+    return np.asarray(coefficients), np.asarray(np.sqrt(np.mean(left**2, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
