@@ -41,7 +41,7 @@ def cache_folder() -> Path:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file; that of an unchanged file (path, size, time) is remembered.
+    """Return the SHA-256 of a file; that of an unchanged file (path, size, times) is remembered.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def sha256_of(path: Path) -> str:
     """
     try:
         stat = path.stat()
-        stamp = [str(path), stat.st_size, stat.st_mtime_ns, stat.st_ino]
+        stamp = [str(path), stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
         note = cache_folder() / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
         known = _json(note)
         if known.get("stamp") == stamp and isinstance(known.get("sha256"), str):
@@ -59,7 +59,7 @@ def sha256_of(path: Path) -> str:
             found = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
-    if stat.st_size >= MIN_BYTES and time.time_ns() - stat.st_mtime_ns > _SETTLED_NS:
+    if stat.st_size >= MIN_BYTES and time.time_ns() - stat.st_ctime_ns > _SETTLED_NS:
         with suppress(OSError):
             note.parent.mkdir(parents=True, exist_ok=True)
             _write(note, json.dumps({"stamp": stamp, "sha256": found}).encode())

@@ -103,14 +103,16 @@ def _whole(path: Path, data: bytes) -> None:
 
 
 class _Pickler:
-    """Just enough of pickle, protocol 2, for dicts of arrays, text, numbers and lists.
+    """Just enough of pickle for dicts of arrays, text, numbers and lists.
 
-    It names numpy's functions by the module that numpy 1 and numpy 2 both know, and writes array
-    data as Python 2 did, so that old and new readers open the file.
+    It names numpy's functions by the module that numpy 1 and numpy 2 both know. A ``.pkl`` is of
+    protocol 2 with array data as Python 2 wrote it, like the published files; what a ``.npy``
+    wraps is of protocol 3, which numpy reads without being told an encoding.
     """
 
     def __init__(self) -> None:
         self.out = io.BytesIO()
+        self.bytes_code = b"T"
 
     def dumps(self, value: dict[str, Any], *, wrapped: bool) -> bytes:
         """Return the pickle of a dict, or the ``.npy`` file of a 0-d array that holds it."""
@@ -119,8 +121,9 @@ class _Pickler:
             pad = -(10 + len(header) + 1) % 64
             self.out.write(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header) + pad + 1))
             self.out.write((header + " " * pad + "\n").encode("ascii"))
-        self.out.write(b"\x80\x02")
+        self.out.write(b"\x80\x03" if wrapped else b"\x80\x02")
         if wrapped:
+            self.bytes_code = b"B"
             self._array_of((), "O8", "|", lambda: self._sequence([value], b"l"))
         else:
             self._value(value)
@@ -167,9 +170,9 @@ class _Pickler:
         put(b"tR(K\x01")
         self._value(shape)
         put(b"cnumpy\ndtype\n(")
-        self._bytes(code.encode("ascii"))
+        self._value(code)
         put(b"\x89\x88tR(K\x03")
-        self._bytes(order.encode("ascii"))
+        self._value(order)
         size = int(code[1:]) * 4 if code[0] == "U" else int(code[1:])
         text = code[0] in "US"
         put(b"NNN")
@@ -181,4 +184,4 @@ class _Pickler:
         put(b"tb")
 
     def _bytes(self, raw: bytes) -> None:
-        self.out.write(b"T" + struct.pack("<i", len(raw)) + raw)
+        self.out.write(self.bytes_code + struct.pack("<I", len(raw)) + raw)
