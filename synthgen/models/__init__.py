@@ -8,7 +8,7 @@ from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.files import load, load_content, load_hand
 from synthgen.models.finding import list_models
 from synthgen.models.hand_pca import pose_from_pca
-from synthgen.models.inverse import VertexFit, fit_vertices, pca_from_pose
+from synthgen.models.inverse import pca_from_pose
 from synthgen.models.keypoints import KEYPOINTS73_NAMES, keypoints73, openpose21
 from synthgen.models.mano import ManoModel
 from synthgen.models.mirror import mirror_model, mirror_pose
@@ -22,6 +22,7 @@ from synthgen.models.writing import convert
 
 if TYPE_CHECKING:
     from synthgen.models.as_torch_layer import as_torch
+from synthgen.models.vertex_fit import VertexFit, fit_vertices
 
 __all__ = [
     "KEYPOINTS73_NAMES",
