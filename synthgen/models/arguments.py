@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # A matrix farther from a rotation than this is refused: single precision rounds to 1e-7.
 _ROTATION_ERROR = 1e-4
+# Far beyond any pose, shape or place; powers of much larger numbers overflow.
+_LARGEST = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +111,12 @@ def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: st
 
 
 def _check_finite(values: Array, what: str) -> None:
+    largest = np.abs(values).max(initial=0.0)
+    if largest < _LARGEST:  # NaN compares false
+        return
     finite = np.isfinite(values)
     if not finite.all():
         raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")
+    raise ShapeError(
+        f"{what} holds {largest:.3g}, which would overflow; expected radians or metres"
+    )

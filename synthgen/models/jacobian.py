@@ -13,6 +13,7 @@ from synthgen.models import jacobian_kernels as kernels
 from synthgen.models.arguments import Arguments, checked
 from synthgen.models.evaluation import pose_skeleton
 from synthgen.models.pose_tangents import tangents
+from synthgen.models.row_bases import in_lanes
 
 if TYPE_CHECKING:
     from synthgen.models.model import BodyModel
@@ -142,11 +143,11 @@ def _one(
     d = len(betas) + n_pose + 3 + len(psi)
     values, vertices = np.zeros((len(rows), 3, d)), np.empty((len(rows), 3))
     kernels.vertex_rows(
-        rows, bases.template, bases.directions, bases.expressions, bases.correctives,
-        bases.active_start, bases.active_joint, bases.first, bases.joint_ids, bases.weights,
-        bases.parents, betas, psi, skeleton.features[0],
-        np.ascontiguousarray(turned.feature.transpose(0, 2, 1)), axes, turned.column, transforms,
-        skeleton.joints[0], by_shape[1], by_expression[1], vertices, values,
+        rows, bases.template, bases.directions, bases.expressions, bases.correctives, bases.reach,
+        bases.first, bases.joint_ids, bases.weights, bases.parents, betas, psi,
+        _numbers(turned.feature[bases.first :], skeleton.features[0, bases.first :]),
+        axes, turned.column, transforms, skeleton.joints[0], by_shape[1], by_expression[1],
+        vertices, values,
     )  # fmt: skip
     of_joints = np.zeros((len(transforms), 3, d))
     kernels.joint_rows(transforms, bases.parents, axes, turned.column, len(betas), of_joints)
@@ -159,6 +160,15 @@ def _one(
         of_joints,
         transforms[:, :3, 3] + args.translation,
     )
+
+
+def _numbers(by_number: Array, features: Array) -> NDArray[np.float32]:
+    """Lay out (J, 3, q) and (J, q) in blocks of joints: (n, q, 4 LANES), features last."""
+    joined = np.concatenate([by_number, features[:, None]], axis=1, dtype=np.float32)
+    blocks = in_lanes(np.ascontiguousarray(joined.transpose(1, 2, 0)))
+    n, q = blocks.shape[1], features.shape[1]
+    lanes = blocks.reshape(4, n, q, kernels.LANES).transpose(1, 2, 0, 3)
+    return np.ascontiguousarray(lanes).reshape(n, q, 4 * kernels.LANES)
 
 
 def _by_coefficients(bases: RowBases, transforms: Array, joint_basis: Array) -> tuple[Array, Array]:

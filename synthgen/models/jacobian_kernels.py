@@ -13,6 +13,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+# Joints whose correctives are worked on together: one AVX-512 or two AVX2 registers of float32.
+LANES = 16
+# Sums may be reordered, but infinities and NaN keep their meaning.
+_FAST = {"contract", "reassoc", "nsz"}
+
 
 @njit(cache=True, error_model="numpy")
 def world_axes(omega: Any, transforms: Any, parents: Any, axes: Any) -> None:
@@ -76,74 +81,38 @@ def joint_rows(transforms: Any, parents: Any, axes: Any, column: Any, at: int, v
             j = parents[j]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def vertex_rows(
-    rows: Any, template: Any, directions: Any, expressions: Any, correctives: Any,
-    active_start: Any, active_joint: Any, first: int, ids: Any, weights: Any, parents: Any,
-    betas: Any, psi: Any, features: Any, by_number: Any, axes: Any, column: Any,
-    transforms: Any, joints: Any, of_shape: Any, of_expression: Any, vertices: Any, values: Any,
+    rows: Any, template: Any, directions: Any, expressions: Any, correctives: Any, reach: Any,
+    first: int, ids: Any, weights: Any, parents: Any, betas: Any, psi: Any, numbers: Any,
+    axes: Any, column: Any, transforms: Any, joints: Any, of_shape: Any,
+    of_expression: Any, vertices: Any, values: Any,
 ) -> None:  # fmt: skip
     """Posed vertices (m, 3), without translation, and derivatives (m, 3, D) at chosen rows.
 
     Columns: shape, pose, translation, expression; ``values`` comes in as zeros.
-    by_number (K, q, 3): derivative of features by each number; axes (K, 3, 3): world.
+    correctives (V, 3, n, q LANES) and numbers (n, q, 4 LANES), features and their derivatives, are
+    laid out as in ``row_bases``; a vertex needs blocks reach[v, 0] to reach[v, 1]; axes
+    (K, 3, 3): world, rows by number.
     """
-    n_joints, q = features.shape
-    ns, ne, D = betas.shape[0], psi.shape[0], values.shape[2]
+    n_joints = parents.shape[0]
+    ns, last = betas.shape[0], values.shape[2] - psi.shape[0]
     lever, held = np.zeros((n_joints, 3)), np.zeros(n_joints)
-    touched = np.zeros(n_joints, np.int64)
-    T = np.zeros((3, 3))
+    touched, T, p = np.zeros(n_joints, np.int64), np.zeros((3, 3)), np.zeros(3)
+    change = np.zeros((numbers.shape[0], 3, 4 * LANES), numbers.dtype)
     for r in range(rows.shape[0]):
         v, out = rows[r], values[r]
-        x, y, z = template[v, 0], template[v, 1], template[v, 2]
-        for i in range(ns):
-            x += directions[v, 0, i] * betas[i]
-            y += directions[v, 1, i] * betas[i]
-            z += directions[v, 2, i] * betas[i]
-        for i in range(ne):
-            x += expressions[v, 0, i] * psi[i]
-            y += expressions[v, 1, i] * psi[i]
-            z += expressions[v, 2, i] * psi[i]
-        for n in range(active_start[v], active_start[v + 1]):
-            j = active_joint[n]
-            o = (j - first) * q
-            for i in range(q):
-                f = features[j, i]
-                x += correctives[v, 0, o + i] * f
-                y += correctives[v, 1, o + i] * f
-                z += correctives[v, 2, o + i] * f
-        T[:] = 0.0
-        n_touched = 0
-        vx, vy, vz = 0.0, 0.0, 0.0
-        for i in range(ids.shape[1]):
-            w = weights[v, i]
-            if w == 0:
-                break
-            j = ids[v, i]
-            g, rest = transforms[j], joints[j]
-            dx, dy, dz = x - rest[0], y - rest[1], z - rest[2]
-            sx = w * (g[0, 3] + g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz)
-            sy = w * (g[1, 3] + g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz)
-            sz = w * (g[2, 3] + g[2, 0] * dx + g[2, 1] * dy + g[2, 2] * dz)
-            vx, vy, vz = vx + sx, vy + sy, vz + sz
+        lo, hi = reach[v, 0], reach[v, 1]
+        p[:] = template[v]
+        _add_directions(directions[v], betas, p)
+        _add_directions(expressions[v], psi, p)
+        for n in range(lo, hi):
             for a in range(3):
-                for c in range(3):
-                    T[a, c] += w * g[a, c]
-                for b in range(ns):
-                    out[a, b] += w * of_shape[j, a, b]
-                for b in range(ne):
-                    out[a, D - ne + b] += w * of_expression[j, a, b]
-            while j >= 0:
-                if held[j] == 0:
-                    touched[n_touched] = j
-                    n_touched += 1
-                    lever[j, 0], lever[j, 1], lever[j, 2] = 0.0, 0.0, 0.0
-                held[j] += w
-                lever[j, 0] += sx
-                lever[j, 1] += sy
-                lever[j, 2] += sz
-                j = parents[j]
-        vertices[r, 0], vertices[r, 1], vertices[r, 2] = vx, vy, vz
+                p[a] += _correct(correctives[v, a, n], numbers[n], change[n, a])
+        n_touched = _gather(
+            ids[v], weights[v], parents, transforms, joints, p, T, lever, held, touched,
+            vertices[r],
+        )  # fmt: skip
         for n in range(n_touched):
             j = touched[n]
             x = lever[j, 0] - held[j] * transforms[j, 0, 3]
@@ -156,51 +125,104 @@ def vertex_rows(
                     out[0, i] = a[1] * z - a[2] * y
                     out[1, i] = a[2] * x - a[0] * z
                     out[2, i] = a[0] * y - a[1] * x
-        _correct(out, ns, v, correctives, active_start, active_joint, first, by_number, column, T)
+        for n in range(lo, hi):
+            x, y, z = change[n, 0], change[n, 1], change[n, 2]
+            for a in range(3):
+                row, t0, t1, t2 = out[a], T[a, 0], T[a, 1], T[a, 2]
+                for c in range(3):
+                    for s in range(min(LANES, n_joints - first - n * LANES)):
+                        i, j = column[first + n * LANES + s, c], c * LANES + s
+                        if i >= 0:
+                            row[ns + i] += t0 * x[j] + t1 * y[j] + t2 * z[j]
+        _coefficient_columns(directions[v], of_shape, ids[v], weights[v], T, out[:, :ns])
+        _coefficient_columns(expressions[v], of_expression, ids[v], weights[v], T, out[:, last:])
         for a in range(3):
-            out[a, D - ne - 3 + a] = 1.0
-            t0, t1, t2 = T[a, 0], T[a, 1], T[a, 2]
-            for b in range(ns):
-                out[a, b] += (
-                    t0 * directions[v, 0, b] + t1 * directions[v, 1, b] + t2 * directions[v, 2, b]
-                )
-            for b in range(ne):
-                out[a, D - ne + b] += (
-                    t0 * expressions[v, 0, b]
-                    + t1 * expressions[v, 1, b]
-                    + t2 * expressions[v, 2, b]
-                )
+            out[a, last - 3 + a] = 1.0
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}, inline="always")
-def _correct(
-    out: Any, ns: int, v: int, correctives: Any, active_start: Any, active_joint: Any, first: int,
-    by_number: Any, column: Any, T: Any,
-) -> None:  # fmt: skip
-    """Add the blended change of a vertex's correctives to its pose columns."""
-    q = by_number.shape[1]
-    for n in range(active_start[v], active_start[v + 1]):
-        j = active_joint[n]
-        o = (j - first) * q
-        e = by_number[j]
-        a0, a1, a2 = 0.0, 0.0, 0.0
-        b0, b1, b2 = 0.0, 0.0, 0.0
-        c0, c1, c2 = 0.0, 0.0, 0.0
-        for i in range(q):
-            p, s, t = e[i, 0], e[i, 1], e[i, 2]
-            m0, m1, m2 = (
-                correctives[v, 0, o + i],
-                correctives[v, 1, o + i],
-                correctives[v, 2, o + i],
-            )
-            a0, a1, a2 = a0 + m0 * p, a1 + m1 * p, a2 + m2 * p
-            b0, b1, b2 = b0 + m0 * s, b1 + m1 * s, b2 + m2 * s
-            c0, c1, c2 = c0 + m0 * t, c1 + m1 * t, c2 + m2 * t
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _add_directions(directions: Any, coefficients: Any, p: Any) -> None:
+    """Add directions (3, n) times coefficients (n,) to a point."""
+    for a in range(3):
+        total = 0.0
+        for i in range(coefficients.shape[0]):
+            total += directions[a, i] * coefficients[i]
+        p[a] += total
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _correct(correctives: Any, numbers: Any, change: Any) -> float:
+    """Return one component's correction by LANES joints; write its change by their numbers.
+
+    The innermost loop runs over joints and has a constant length, so that it vectorises.
+    """
+    for s in range(4 * LANES):
+        change[s] = 0
+    for i in range(numbers.shape[0]):
+        d, m = numbers[i], correctives[i * LANES : (i + 1) * LANES]
+        for s in range(LANES):
+            change[s] += m[s] * d[s]
+            change[LANES + s] += m[s] * d[LANES + s]
+            change[2 * LANES + s] += m[s] * d[2 * LANES + s]
+            change[3 * LANES + s] += m[s] * d[3 * LANES + s]
+    total = 0.0
+    for s in range(LANES):
+        total += change[3 * LANES + s]
+    return total
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _gather(
+    ids: Any, weights: Any, parents: Any, transforms: Any, joints: Any, p: Any, T: Any,
+    lever: Any, held: Any, touched: Any, vertex: Any,
+) -> int:  # fmt: skip
+    """Skin one point; gather what each joint's subtree holds of it, return how many do.
+
+    Writes the blended rotation T, the vertex, the joints ``touched``, and per joint the weight
+    ``held`` (zero on entry) and the weighted position ``lever``.
+    """
+    n_touched = 0
+    T[:] = 0.0
+    vertex[:] = 0.0
+    for i in range(ids.shape[0]):
+        w, j = weights[i], ids[i]
+        if w == 0:
+            break
+        g, rest = transforms[j], joints[j]
+        x, y, z = p[0] - rest[0], p[1] - rest[1], p[2] - rest[2]
+        sx = w * (g[0, 3] + g[0, 0] * x + g[0, 1] * y + g[0, 2] * z)
+        sy = w * (g[1, 3] + g[1, 0] * x + g[1, 1] * y + g[1, 2] * z)
+        sz = w * (g[2, 3] + g[2, 0] * x + g[2, 1] * y + g[2, 2] * z)
+        vertex[0] += sx
+        vertex[1] += sy
+        vertex[2] += sz
         for a in range(3):
-            row, t0, t1, t2 = out[a], T[a, 0], T[a, 1], T[a, 2]
-            if column[j, 0] >= 0:
-                row[ns + column[j, 0]] += t0 * a0 + t1 * a1 + t2 * a2
-            if column[j, 1] >= 0:
-                row[ns + column[j, 1]] += t0 * b0 + t1 * b1 + t2 * b2
-            if column[j, 2] >= 0:
-                row[ns + column[j, 2]] += t0 * c0 + t1 * c1 + t2 * c2
+            for c in range(3):
+                T[a, c] += w * g[a, c]
+        while j >= 0:
+            if held[j] == 0:
+                touched[n_touched] = j
+                n_touched += 1
+                lever[j] = 0.0
+            held[j] += w
+            lever[j, 0] += sx
+            lever[j, 1] += sy
+            lever[j, 2] += sz
+            j = parents[j]
+    return n_touched
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _coefficient_columns(
+    directions: Any, of_maps: Any, ids: Any, weights: Any, T: Any, out: Any
+) -> None:
+    """Write columns (3, n) of coefficients with directions (3, n); of_maps (K, 3, n)."""
+    for a in range(3):
+        row, t0, t1, t2 = out[a], T[a, 0], T[a, 1], T[a, 2]
+        x, y, z = directions[0], directions[1], directions[2]
+        for b in range(row.shape[0]):
+            row[b] = t0 * x[b] + t1 * y[b] + t2 * z[b]
+        for i in range(ids.shape[0]):
+            w, offset = weights[i], of_maps[ids[i], a]
+            for b in range(row.shape[0]):
+                row[b] += w * offset[b]

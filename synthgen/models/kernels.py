@@ -63,6 +63,7 @@ def place(
     rest joints (B, K, 3), world transforms (B, K, 4, 4), skin (B, K, 12): map of rest points
     minus the identity, without the translation.
     """
+    offset = np.empty((parents.shape[0], 3))
     for b in range(rotations.shape[0]):
         rest = joints[b].reshape(-1)
         for i in range(rest.shape[0]):
@@ -72,8 +73,14 @@ def place(
             for i in range(rest.shape[0]):
                 rest[i] += c * joint_basis[n, i]
         for k in range(parents.shape[0]):
-            p, r, g, j = parents[k], rotations[b, k], transforms[b, k], joints[b, k]
+            p, r, g, j, s = parents[k], rotations[b, k], transforms[b, k], joints[b, k], skin[b, k]
+            # a turn about the joint itself moves rest points by (1 - R) j, exactly 0 at rest
+            x = j[0] - (r[0, 0] * j[0] + r[0, 1] * j[1] + r[0, 2] * j[2])
+            y = j[1] - (r[1, 0] * j[0] + r[1, 1] * j[1] + r[1, 2] * j[2])
+            z = j[2] - (r[2, 0] * j[0] + r[2, 1] * j[1] + r[2, 2] * j[2])
+            g[3, 0], g[3, 1], g[3, 2], g[3, 3] = 0.0, 0.0, 0.0, 1.0
             if p < 0:
+                offset[k, 0], offset[k, 1], offset[k, 2] = x, y, z
                 for a in range(3):
                     g[a, 0], g[a, 1], g[a, 2], g[a, 3] = r[a, 0], r[a, 1], r[a, 2], j[a]
             else:
@@ -84,13 +91,12 @@ def place(
                     for c in range(3):
                         g[a, c] = u * r[0, c] + v * r[1, c] + w * r[2, c]
                     g[a, 3] = up[a, 3] + u * dx + v * dy + w * dz
-            g[3, 0], g[3, 1], g[3, 2], g[3, 3] = 0.0, 0.0, 0.0, 1.0
+                    offset[k, a] = offset[p, a] + u * x + v * y + w * z
             for a in range(3):
-                s = skin[b, k]
-                s[4 * a + 3] = g[a, 3] - (g[a, 0] * j[0] + g[a, 1] * j[1] + g[a, 2] * j[2])
-                for c in range(3):
-                    s[4 * a + c] = g[a, c]
-                s[4 * a + a] -= 1.0
+                s[4 * a], s[4 * a + 1], s[4 * a + 2], s[4 * a + 3] = (
+                    g[a, 0], g[a, 1], g[a, 2], offset[k, a]
+                )  # fmt: skip
+                s[5 * a] = g[a, a] - 1.0
         for k in range(parents.shape[0]):
             for a in range(3):
                 transforms[b, k, a, 3] += moved[b, a]

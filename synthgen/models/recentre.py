@@ -3,6 +3,9 @@
 A posed vertex is ``R (v - J0) + J0 + t`` at the root, with J0 the *rest* position of joint 0,
 which depends on the shape. Turning everything by (R', c'), x -> R' x + c', therefore changes the
 translation by more than ``R' t + c'``; forgetting that is the usual mistake with these models.
+
+SUPR files hold correctives for the root too. Where those are not zero the mesh itself changes
+with the root's rotation, and only the joints move rigidly.
 """
 
 from __future__ import annotations
