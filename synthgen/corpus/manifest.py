@@ -16,7 +16,7 @@ from synthgen.config import Config
 from synthgen.corpus import atomic, shards
 from synthgen.corpus.shards import Entry
 from synthgen.errors import IntegrityError
-from synthgen.models import load
+from synthgen.models import load_hand
 
 MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
@@ -28,7 +28,7 @@ def engine(config: Config) -> dict[str, Any]:
     chosen = backend.resolve(config.render.variant)
     library = backend.find_llvm() if chosen.startswith("llvm") else None
     return {
-        "model_digest": load(config.model.name, hand="right").digest,
+        "model_digest": load_hand(config.model.name, hand="right").digest,
         "variant": chosen,
         "llvm": backend.llvm_version(str(library)) if library else None,
         "versions": {"synthgen": __version__, **backend.versions()},

@@ -17,7 +17,7 @@ from synthgen.errors import ModelError
 from synthgen.geometry.normals import face_cross
 from synthgen.geometry.topology import boundary_loops
 from synthgen.models import ManoModel, load
-from synthgen.models.files import DATA
+from synthgen.models.finding import DATA
 from synthgen.sampling.limits import limits_of, violation
 from synthgen.sampling.streams import stream
 
