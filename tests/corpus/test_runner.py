@@ -125,7 +125,7 @@ def test_edge_another_model_under_the_same_name(
     """A model file that changed is refused on resume, and on recomputing vertices."""
     import numpy as np
 
-    from synthgen.models.files import DATA
+    from synthgen.models.finding import DATA
 
     mine = tmp_path / "mine.npz"
     mine.write_bytes((DATA / "cc0-hand.npz").read_bytes())
