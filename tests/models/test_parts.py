@@ -89,6 +89,17 @@ def test_properties_regressor_of_the_part_alone_gives_the_same_joints(tmp_path: 
     np.testing.assert_allclose(own.shaped(shape, psi)[1], cut.shaped(shape, psi)[1], atol=1e-9)
 
 
+def test_properties_expressions_that_move_nothing_are_left_out(tmp_path: Path) -> None:
+    body = supr(tmp_path)
+    face, foot = part_vertices(body, "head"), part_vertices(body, "left_foot")
+    moved = np.zeros_like(body.exprdirs)
+    moved[face] = 0.01
+    still = replace(body, exprdirs=moved, J_regressor=np.zeros_like(body.J_regressor))
+    assert separate(still, "head").model.n_expression == 5
+    assert separate(still, foot).model.exprdirs is None
+    assert separate(replace(body, exprdirs=moved), foot).model.n_expression in (0, 5)
+
+
 @pytest.mark.parametrize("family", ["smplh", "star"])
 def test_properties_other_families(family: str, tmp_path: Path) -> None:
     np.savez(tmp_path / "body.npz", **body_files.body(family, pairs=200))
