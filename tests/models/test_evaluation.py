@@ -145,6 +145,8 @@ def test_edge_more_than_four_weights_and_only_one() -> None:
         ({"pose": np.zeros((2, 156))}, "flat_hand_mean"),
         ({"pose": np.zeros((2, 51, 3))}, r"\(B, 52, 3\)"),
         ({"pose": np.full((2, 52, 3), np.inf)}, "pose holds inf"),
+        ({"pose": [[[0.0] * 3] * 52, [[0.0] * 3] * 51]}, "pose is no array of numbers"),
+        ({"shape": [["a"], ["b"]]}, "shape is no array of numbers"),
         ({"pose": np.full((2, 52, 3), 1e200)}, "overflow"),
         ({"pose": np.tile(2 * np.eye(3), (2, 52, 1, 1))}, "no rotation"),
         ({"pose": np.tile(-np.eye(3), (2, 52, 1, 1))}, "no rotation"),
