@@ -58,7 +58,7 @@ def checked(
         from synthgen.models.hand_pca import expand_pose
 
         pose = expand_pose(model, pose, flat_hand_mean=flat_hand_mean)
-    theta = np.ascontiguousarray(_numbers(pose, "pose"))
+    theta = _numbers(pose, "pose")
     n = len(theta) if theta.ndim else 0
     _check_pose(model, theta)
     betas = _coefficients(shape, n, model.n_shape, "shape", "nb", model.name)
@@ -78,8 +78,9 @@ def checked(
 
 
 def _numbers(value: Any, what: str) -> Array:
+    """Copy to one kind of array, writable and contiguous: kernels are compiled for that alone."""
     try:
-        return np.asarray(value, dtype=np.float64)
+        return np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{what} is no array of numbers: {error}") from None
 

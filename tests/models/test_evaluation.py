@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +115,22 @@ def test_properties_joint_basis_replaces_the_regressor(made: BodyModel) -> None:
     np.testing.assert_allclose(b[0], a[0], atol=1e-12)
     np.testing.assert_allclose(b[1], a[1], atol=1e-12)
     np.testing.assert_allclose(part.evaluate(*given).vertices, a[0], atol=LIMIT_M, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["smplh", "supr", "official"])
+def test_edge_read_only_and_transposed_arrays(kind: str) -> None:
+    """Arrays of a memory map, or of another layout, give the same numbers."""
+    made = model(kind)
+    given = draw(made, 2)
+    arrays = {f.name: getattr(made, f.name) for f in fields(made)}
+    odd = {n: np.asfortranarray(a) for n, a in arrays.items() if isinstance(a, np.ndarray)}
+    for array in (*odd.values(), *(a for a in given if a is not None)):
+        array.setflags(write=False)
+    other = replace(made, **odd)
+    a, b = other.evaluate(*given).vertices, made.evaluate(*given).vertices
+    np.testing.assert_allclose(a, b, atol=1e-7, rtol=0)
+    a, b = other.jacobian(*given).values, made.jacobian(*given).values
+    np.testing.assert_allclose(a, b, atol=1e-12, rtol=0)
 
 
 def test_edge_weights_that_do_not_sum_to_one() -> None:
