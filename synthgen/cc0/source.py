@@ -32,6 +32,7 @@ WEIGHTS = ("minweight", "averageweight", "maxweight")
 HEIGHTS = ("minheight", "maxheight")
 PROPORTIONS = ("idealproportions", "uncommonproportions")
 ANCESTRIES = ("african", "asian", "caucasian")
+CUPS = ("mincup", "averagecup", "maxcup")
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,32 @@ class MakeHuman:
                 found[g, a, m, w, p] = self.target(f"macrodetails/proportions/{stem}-{p}")
         for r, g, a in itertools.product(ANCESTRIES, GENDERS, ages):
             found[r, g, a] = self.target(f"macrodetails/{r}-{g}-{a}")
+        return found
+
+    def cup_targets(self) -> dict[tuple[str, ...], Target]:
+        """Read the targets of women's breast volume at average firmness."""
+        found: dict[tuple[str, ...], Target] = {}
+        known = set(self.target_names("breast"))
+        for a, m, w, c in itertools.product(AGES[2:], MUSCLES, WEIGHTS, CUPS):
+            key = ("female", a, m, w, c, "averagefirmness")
+            name = f"breast/{'-'.join(key)}"
+            if name in known:
+                found[key] = self.target(name)
+        return found
+
+    def target_names(self, folder: str) -> list[str]:
+        """List the morph targets of a folder, sorted."""
+        files = (self.root / "mpfb2/targets" / folder).glob("*.target.gz")
+        return sorted(f"{folder}/{file.name.removesuffix('.target.gz')}" for file in files)
+
+    def face_units(self) -> dict[str, Target]:
+        """Read the face units (ARKit's names), such as ``mouthSmileLeft``."""
+        found: dict[str, Target] = {}
+        for path in sorted((self.root / "faceunits01/targets/faceunits").glob("*.target")):
+            lines = self._text(str(path.relative_to(self.root))).splitlines()
+            rows = [line.split() for line in lines if line and not line.startswith("#")]
+            table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+            found[path.stem] = (table[:, 0].astype(np.int64), table[:, 1:] * DECIMETRES)
         return found
 
     def bones(self) -> dict[str, dict[str, Any]]:
