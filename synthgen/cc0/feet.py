@@ -15,7 +15,7 @@ from synthgen.models.foot import SIZES, SLOPE, FootNetwork, read_feet
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-TRAINING, UNSEEN, EPOCHS, BATCH = 3600, 600, 60, 32
+TRAINING, UNSEEN, EPOCHS, BATCH = 5000, 600, 70, 32
 _MM = 1e3
 
 

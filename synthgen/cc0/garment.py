@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from synthgen.cc0.foundation import Foundation
 from synthgen.geometry.normals import vertex_normals
+from synthgen.geometry.subdivision import InterpolatingSubdivision
 from synthgen.geometry.topology import boundary_loops
 
 Array = NDArray[np.float64]
@@ -14,7 +15,7 @@ Ints = NDArray[np.int64]
 
 SHIRT, SHORTS = (92, 112, 140), (52, 56, 66)
 # Distance from the skin: of the cloth (wanted, at least) and of its hems, metres.
-WANTED_M, CLEARANCE_M, HEM_M = 0.008, 0.0045, 0.001
+WANTED_M, CLEARANCE_M, HEM_M = 0.010, 0.007, 0.001
 # Where sleeves and legs end, in shares of upper arm and thigh; the waist, of pelvis to spine1.
 _SLEEVE, _LEG, _WAIST = 0.45, 0.55, 0.5
 # The neckline: a ball about a place above and before the neck's joint, metres.
@@ -38,7 +39,9 @@ def garment_mesh(base: Foundation) -> tuple[Array, Ints, Array, Ints, Array]:
     rows = base.cut.extras["tights"]
     quads = base.cut.quads["tights"]
     faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
-    points = _pushed_out(base.template[rows], faces, skin, skin_faces)
+    finer = InterpolatingSubdivision.build(faces, len(rows), 1)
+    points, faces = finer.apply(base.template[rows]), finer.faces
+    points = _pushed_out(points, faces, skin, skin_faces)
     at = dict(zip(base.skeleton.names, base.joints, strict=True))
     for cut in (_beyond_sleeves, _below_legs, _at_neck):
         points, faces, _ = _sliced(points, faces, cut(points, at))
@@ -72,31 +75,32 @@ def _at_neck(points: Array, at: dict[str, Array]) -> Array:
 def _sliced(points: Array, faces: Ints, field: Array) -> tuple[Array, Ints, Ints]:
     """Cut triangles along field = 0; return points with the new ones, faces below and above."""
     field = np.where(np.abs(field) < _SNAP_M, 0.0, field)
+    corner = field[faces]
+    mixed = (corner.min(axis=1) < 0) & (corner.max(axis=1) > 0)
     extra: list[Array] = []
-    crossing: dict[tuple[int, int], int] = {}
-    sides: tuple[list[list[int]], list[list[int]]] = ([], [])
-    for face in faces:
-        corners = [int(k) for k in face]
-        loop: list[int] = []
-        level: list[float] = []
-        for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
-            loop.append(a)
-            level.append(float(field[a]))
+    middle: dict[tuple[int, int], int] = {}
+    pieces: tuple[list[list[int]], list[list[int]]] = ([], [])
+    for face in faces[mixed].tolist():
+        loop: list[tuple[int, float]] = []
+        for a, b in zip(face, face[1:] + face[:1], strict=True):
+            loop.append((a, float(field[a])))
             if field[a] * field[b] < 0:
-                key = (min(a, b), max(a, b))
-                if key not in crossing:
-                    t = field[key[0]] / (field[key[0]] - field[key[1]])
-                    crossing[key] = len(points) + len(extra)
-                    extra.append(points[key[0]] + t * (points[key[1]] - points[key[0]]))
-                loop.append(crossing[key])
-                level.append(0.0)
-        for faces_of_side, sign in zip(sides, (-1.0, 1.0), strict=True):
-            if max(sign * x for x in level) > 0:
-                own = [k for k, x in zip(loop, level, strict=True) if sign * x >= 0]
-                faces_of_side += [[own[0], own[i], own[i + 1]] for i in range(1, len(own) - 1)]
-    grown = np.concatenate([points, np.array(extra).reshape(-1, 3)])
-    low, high = (np.array(side, dtype=np.int64).reshape(-1, 3) for side in sides)
-    return grown, low, high
+                i, j = min(a, b), max(a, b)
+                if (i, j) not in middle:
+                    middle[i, j] = len(points) + len(extra)
+                    t = field[i] / (field[i] - field[j])
+                    extra.append(points[i] + t * (points[j] - points[i]))
+                loop.append((middle[i, j], 0.0))
+        for side, sign in zip(pieces, (-1.0, 1.0), strict=True):
+            own = [k for k, level in loop if sign * level >= 0]
+            side += [[own[0], own[i], own[i + 1]] for i in range(1, len(own) - 1)]
+    low = faces[~mixed & (corner.min(axis=1) < 0)]
+    high = faces[~mixed & (corner.min(axis=1) >= 0)]
+    sides = [
+        np.concatenate([whole, np.array(cut, dtype=np.int64).reshape(-1, 3)])
+        for whole, cut in zip((low, high), pieces, strict=True)
+    ]
+    return np.concatenate([points, np.array(extra).reshape(-1, 3)]), sides[0], sides[1]
 
 
 def _pushed_out(points: Array, faces: Ints, skin: Array, skin_faces: Ints) -> Array:

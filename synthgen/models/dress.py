@@ -7,15 +7,15 @@ components and pose correctives from there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from synthgen.errors import ModelError
-from synthgen.models.compact import dequantised, expressions, skinning_weights
 
 Array = NDArray[np.float64]
 
@@ -48,8 +48,31 @@ class Attachment:
     colour: NDArray[np.uint8]
 
 
-def read_attachments(arrays: dict[str, Any]) -> tuple[Attachment, ...]:
-    """Read every attachment of a shipped model's compact arrays.
+class Body(Protocol):
+    """What a body needs to have for something to be bound to it."""
+
+    @property
+    def shapedirs(self) -> NDArray[Any]: ...  # noqa: D102
+
+    @property
+    def exprdirs(self) -> NDArray[Any] | None: ...  # noqa: D102
+
+    @property
+    def posedirs(self) -> NDArray[Any]: ...  # noqa: D102
+
+    @property
+    def weights(self) -> NDArray[Any]: ...  # noqa: D102
+
+
+def read_attachments(body: Body, extras: Mapping[str, Any]) -> tuple[Attachment, ...]:
+    """Read every attachment of a shipped model.
+
+    Parameters
+    ----------
+    body : Body
+        The model that they belong to.
+    extras : mapping of str to array
+        The other arrays of its file: ``attachments`` (names), ``garment_*``, ``eyes_*``, ...
 
     Raises
     ------
@@ -57,45 +80,54 @@ def read_attachments(arrays: dict[str, Any]) -> tuple[Attachment, ...]:
         If an attachment that is named has no arrays.
     """
     try:
-        return tuple(_read(arrays, str(name)) for name in arrays.get("attachments", ()))
+        return tuple(_read(body, extras, str(name)) for name in extras.get("attachments", ()))
     except KeyError as error:
         raise ModelError(f"no {error.args[0]!r}, which attachments needs") from None
 
 
-def _read(arrays: dict[str, Any], name: str) -> Attachment:
+def _read(body: Body, extras: Mapping[str, Any], name: str) -> Attachment:
     exprdirs: Array | None
     posedirs: sparse.csr_matrix | None = None
-    if f"{name}_bind_ids" in arrays:
-        bind = _binding(arrays, name)
-        shapedirs = _bound(bind, dequantised(arrays, "shapedirs"))
-        exprdirs = _bound(bind, expressions(arrays)) if "exprdirs_q" in arrays else None
-        weights = np.asarray(bind @ skinning_weights(arrays))
-        posedirs = _bound_correctives(bind, arrays)
+    if f"{name}_bind_ids" in extras:
+        bind, used = _binding(extras, name)
+        shapedirs = _bound(bind, body.shapedirs[used])
+        exprdirs = None if body.exprdirs is None else _bound(bind, body.exprdirs[used])
+        weights = np.asarray(bind @ body.weights[used])
+        posedirs = _bound_correctives(bind, body.posedirs[used])
     else:
-        shapedirs = np.asarray(arrays[f"{name}_shapedirs"], dtype=np.float64)
-        own = arrays.get(f"{name}_exprdirs")
+        shapedirs = np.asarray(extras[f"{name}_shapedirs"], dtype=np.float64)
+        own = extras.get(f"{name}_exprdirs")
         exprdirs = None if own is None else np.asarray(own, dtype=np.float64)
-        weights = skinning_weights(arrays, f"{name}_")
+        weights = _own_weights(extras, name, body.weights.shape[1])
     return Attachment(
         name=name,
-        template=np.asarray(arrays[f"{name}_template"], dtype=np.float64),
+        template=np.asarray(extras[f"{name}_template"], dtype=np.float64),
         shapedirs=shapedirs,
         exprdirs=exprdirs,
         posedirs=posedirs,
         weights=weights,
-        faces=np.asarray(arrays[f"{name}_f"], dtype=np.int64),
-        colour=np.asarray(arrays[f"{name}_colour"], dtype=np.uint8),
+        faces=np.asarray(extras[f"{name}_f"], dtype=np.int64),
+        colour=np.asarray(extras[f"{name}_colour"], dtype=np.uint8),
     )
 
 
-def _binding(arrays: dict[str, Any], name: str) -> sparse.csr_matrix:
-    """Matrix (A, V) of the skin vertices' shares, rows summing to 1."""
-    ids = np.asarray(arrays[f"{name}_bind_ids"], dtype=np.int64)
-    share = np.asarray(arrays[f"{name}_bind_weights"], dtype=np.float64)
+def _binding(extras: Mapping[str, Any], name: str) -> tuple[sparse.csr_matrix, NDArray[np.int64]]:
+    """Matrix (A, n) of skin vertices' shares, rows summing to 1, and those n vertices."""
+    ids = np.asarray(extras[f"{name}_bind_ids"], dtype=np.int64)
+    share = np.asarray(extras[f"{name}_bind_weights"], dtype=np.float64)
     share = share / share.sum(axis=1, keepdims=True)
+    used, columns = np.unique(ids, return_inverse=True)
     rows = np.repeat(np.arange(len(ids)), ids.shape[1])
-    shape = (len(ids), len(arrays["v_template"]))
-    return sparse.csr_matrix((share.ravel(), (rows, ids.ravel())), shape)
+    shape = (len(ids), len(used))
+    return sparse.csr_matrix((share.ravel(), (rows, columns.ravel())), shape), used
+
+
+def _own_weights(extras: Mapping[str, Any], name: str, n_joints: int) -> Array:
+    joint = np.asarray(extras[f"{name}_weights_joint"], dtype=np.int64)
+    value = np.asarray(extras[f"{name}_weights_value"], dtype=np.float64)
+    result = np.zeros((len(joint), n_joints))
+    np.add.at(result, (np.arange(len(joint))[:, None], joint), value)
+    return np.asarray(result / result.sum(axis=1, keepdims=True))
 
 
 def _bound(bind: sparse.csr_matrix, bases: NDArray[Any]) -> Array:
@@ -103,17 +135,10 @@ def _bound(bind: sparse.csr_matrix, bases: NDArray[Any]) -> Array:
     return np.asarray(flat).reshape(-1, *bases.shape[1:])
 
 
-def _bound_correctives(bind: sparse.csr_matrix, arrays: dict[str, Any]) -> sparse.csr_matrix:
-    blocks = arrays["posedirs_blocks"] * float(arrays["posedirs_scale"])
-    vertex, joint = (np.asarray(arrays[f"posedirs_{k}"], np.int64) for k in ("vertex", "joint"))
-    n, _, b = blocks.shape
-    first = 1 if b == 9 else 0  # SMPL+H: no feature of the root
-    rows = (3 * vertex[:, None] + np.arange(3))[:, :, None]
-    columns = ((joint[:, None] - first) * b + np.arange(b))[:, None, :]
-    where = (np.broadcast_to(rows, (n, 3, b)).ravel(), np.broadcast_to(columns, (n, 3, b)).ravel())
-    shape = (3 * bind.shape[1], b * (arrays["kintree_table"].shape[1] - first))
-    dense = sparse.csr_matrix((blocks.ravel(), where), shape)
-    return sparse.csr_matrix(sparse.kron(bind, sparse.eye_array(3), format="csr") @ dense)
+def _bound_correctives(bind: sparse.csr_matrix, posedirs: NDArray[Any]) -> sparse.csr_matrix:
+    """Correctives (3 A, F) of what is bound to skin with correctives (n, 3, F)."""
+    flat = sparse.csr_matrix(posedirs.reshape(-1, posedirs.shape[2]).astype(np.float64))
+    return sparse.csr_matrix(sparse.kron(bind, sparse.eye_array(3), format="csr") @ flat)
 
 
 def pose_attachment(

@@ -29,7 +29,10 @@ class PlainBody:
         self.weights = self.arrays["weights"]
         self.template = self.arrays["v_template"].astype(np.float64)
         self.regressor = regressor(compact)
-        self.n_betas = self.arrays["shapedirs"].shape[2]
+        self.shapedirs = self.arrays["shapedirs"]
+        self.exprdirs = self.arrays.get("exprdirs")
+        self.posedirs = self.arrays["posedirs"]
+        self.n_betas = self.shapedirs.shape[2]
 
     def pose(self, **degrees: tuple[float, float, float]) -> Array:
         """One pose (1, K, 3) from axis-angle vectors in degrees by joint name."""
