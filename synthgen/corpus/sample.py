@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.corpus.columns import DEPTH_STEP_M, decode_exr, decode_image
 from synthgen.errors import CorpusError
-from synthgen.models import ManoModel, load
+from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject
 
@@ -66,7 +66,7 @@ class Subject:
     @cached_property
     def loaded(self) -> ManoModel:
         """The model, on the right side."""
-        return load(self.model, hand=self._subject.hand)
+        return load_hand(self.model, hand=self._subject.hand)
 
     @cached_property
     def _posed(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

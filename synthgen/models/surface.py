@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from synthgen.geometry.rotations import matrix_from_axis_angle
 
 if TYPE_CHECKING:
-    from synthgen.models.mano import ManoModel, Posed
+    from synthgen.models.mano import ManoModel
+    from synthgen.models.model import Posed
 
 Array = NDArray[np.float64]
 

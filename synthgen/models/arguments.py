@@ -1,0 +1,122 @@
+"""Checking what is passed to a model; every refusal names value, expectation and way out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ShapeError
+
+if TYPE_CHECKING:
+    from synthgen.models.model import BodyModel
+
+Array = NDArray[np.float64]
+# A matrix farther from a rotation than this is refused: single precision rounds to 1e-7.
+_ROTATION_ERROR = 1e-4
+# Far beyond any pose, shape or place; powers of much larger numbers overflow.
+_LARGEST = 1e12
+
+
+@dataclass(frozen=True, eq=False)
+class Arguments:
+    """Checked arguments, float64.
+
+    Attributes
+    ----------
+    shape : (B, n) with n <= nb
+    pose : (B, K, 3), (B, K, 3, 3) or (B, P)
+    translation : (B, 3)
+    expression : (B, m) with m <= ne
+    """
+
+    shape: Array
+    pose: Array
+    translation: Array
+    expression: Array
+
+
+def checked(
+    model: BodyModel,
+    shape: Any,
+    pose: Any,
+    translation: Any = None,
+    expression: Any = None,
+    *,
+    flat_hand_mean: bool | None = None,
+) -> Arguments:
+    """Check and convert; arguments as ``BodyModel.evaluate``.
+
+    Raises
+    ------
+    ShapeError
+        If shapes do not fit, a number is not finite or a matrix is no rotation.
+    """
+    if flat_hand_mean is not None:
+        from synthgen.models.hand_pca import expand_pose
+
+        pose = expand_pose(model, pose, flat_hand_mean=flat_hand_mean)
+    theta = np.ascontiguousarray(pose, dtype=np.float64)
+    n = len(theta) if theta.ndim else 0
+    _check_pose(model, theta)
+    betas = _coefficients(shape, n, model.n_shape, "shape", "nb", model.name)
+    if expression is not None and model.n_expression == 0:
+        raise ShapeError(
+            f"model {model.name!r} ({model.family}) has no expression components; pass None"
+        )
+    given = np.zeros((n, 0)) if expression is None else expression
+    psi = _coefficients(given, n, model.n_expression, "expression", "ne", model.name)
+    moved = np.zeros((n, 3)) if translation is None else np.asarray(translation, dtype=np.float64)
+    if moved.shape != (n, 3):
+        raise ShapeError(f"translation has shape {moved.shape}; expected ({n}, 3)")
+    _check_finite(moved, "translation")
+    return Arguments(betas, theta, moved, psi)
+
+
+def _check_pose(model: BodyModel, theta: Array) -> None:
+    k = len(model.parents)
+    if model.axis_meta is not None and theta.ndim == 2:
+        p = model.axis_meta.n_pose
+        if theta.shape[1] != p:
+            raise ShapeError(
+                f"pose has shape {theta.shape}; the constrained model {model.name!r} expects "
+                f"(B, {p}) angles"
+            )
+    elif theta.shape[1:] not in ((k, 3), (k, 3, 3)):
+        raise ShapeError(
+            f"pose has shape {theta.shape}; expected (B, {k}, 3) axis-angle or (B, {k}, 3, 3) "
+            "rotation matrices; for PCA coefficients say flat_hand_mean=True or False"
+        )
+    _check_finite(theta, "pose")
+    if theta.ndim == 4 and len(theta):
+        error = np.abs(theta @ np.swapaxes(theta, -1, -2) - np.eye(3)).max()
+        if error > _ROTATION_ERROR or np.linalg.det(theta).min() < 0:
+            raise ShapeError(
+                f"pose holds a matrix that is no rotation (R R' is {error:.2g} off the identity, "
+                f"lowest determinant {np.linalg.det(theta).min():.3g}); orthonormalise it first"
+            )
+
+
+def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: str) -> Array:
+    values = np.asarray(value, dtype=np.float64)
+    if values.ndim != 2 or len(values) != n or values.shape[1] > most:
+        raise ShapeError(
+            f"{what} is {values.shape}; model {name!r} expected ({n}, {count}) with "
+            f"{count} <= {most}, one row per pose"
+        )
+    _check_finite(values, what)
+    return values
+
+
+def _check_finite(values: Array, what: str) -> None:
+    largest = np.abs(values).max(initial=0.0)
+    if largest < _LARGEST:  # NaN compares false
+        return
+    finite = np.isfinite(values)
+    if not finite.all():
+        raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")
+    raise ShapeError(
+        f"{what} holds {largest:.3g}, which would overflow; expected radians or metres"
+    )
