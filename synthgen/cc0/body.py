@@ -67,7 +67,7 @@ def _correctives(base: Foundation) -> tuple[Array, dict[str, Any]]:
     half = learn_ridge(rotation_feature(poses), rest.offsets(poses, ids), relevant, cost)
     report = corrective_report(base, half, rotation_feature)
     own = np.searchsorted(ids, base.cut.hand_ids)
-    fingers = [base.skeleton.index(name) for name in fingers_of("right")]
+    fingers = np.array([base.skeleton.index(name) for name in fingers_of("right")])
     half[np.ix_(own, fingers)] = hand_blocks(base, base.hand.posedirs, 9)
     mirror = base.cut.mirror[: base.cut.n_body]
     return mirror_blocks(half, ids, mirror, base.skeleton.mirrored), report

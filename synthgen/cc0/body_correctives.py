@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
-from scipy.spatial.transform import Rotation
 
 from synthgen.geometry.rotations import matrix_from_axis_angle
 
@@ -28,13 +27,6 @@ _SWEEPS = 12
 def rotation_feature(poses: Array) -> Array:
     """Return (n, K, 9): row-major R - I per joint."""
     return np.asarray((matrix_from_axis_angle(poses) - np.eye(3)).reshape(*poses.shape[:2], 9))
-
-
-def quaternion_feature(poses: Array) -> Array:
-    """Return (n, K, 4): quaternion minus identity, x y z (w - 1), w >= 0, per joint."""
-    q = Rotation.from_rotvec(poses.reshape(-1, 3)).as_quat(canonical=True)
-    q[:, 3] -= 1
-    return np.asarray(q.reshape(*poses.shape[:2], 4))
 
 
 def learn_ridge(feature: Array, offsets: Array, relevant: NDArray[np.bool_], cost: Array) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from synthgen.cc0.skeleton import TOES, Skeleton, other_side
+from synthgen.cc0.skeleton import TOES, Skeleton
+from synthgen.models.joints import swapped_side
 
 Array = NDArray[np.float64]
 Range = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -44,8 +45,8 @@ def pose_range(skeleton: Skeleton) -> Array:
     for k, name in enumerate(skeleton.names):
         if name in _RANGE:
             result[k] = np.deg2rad(_RANGE[name])
-        elif other_side(name) in _RANGE:
-            x, y, z = np.deg2rad(_RANGE[other_side(name)])
+        elif swapped_side(name) in _RANGE:
+            x, y, z = np.deg2rad(_RANGE[swapped_side(name)])
             result[k] = [x, -y[::-1], -z[::-1]]
     return result
 

@@ -20,7 +20,7 @@ from synthgen.cc0.population import BodyCut
 from synthgen.cc0.skeleton import Skeleton, bone_transforms, twist_joint
 from synthgen.cc0.unpose import dual_quaternion_motions
 from synthgen.geometry.rotations import matrix_from_axis_angle
-from synthgen.models.mano import chain, skinning_transforms
+from synthgen.models.chain import chain, skinning_transforms
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -103,7 +103,7 @@ class RestBody:
             if joint is not None:
                 result[self.cut.bone_weights[ids, m] > 0.01, self.skeleton.index(joint)] = True
         result[:, 0] = False
-        return result
+        return np.asarray(result)
 
 
 class _Relaxation:

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from synthgen.cc0.body_correctives import quaternion_feature
 from synthgen.cc0.correctives import geodesics
 from synthgen.cc0.foundation import Foundation
 from synthgen.cc0.skeleton import TOES
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.rotations import matrix_from_axis_angle
+from synthgen.models.chain import chain, skinning_transforms
 from synthgen.models.foot import CONTACT_M, N_POINTS
-from synthgen.models.mano import chain, skinning_transforms
+from synthgen.models.pose_features import quaternion_feature
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

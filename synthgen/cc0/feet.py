@@ -79,7 +79,7 @@ def train(feature: Array, offsets: Array, *, seed: int) -> tuple[list[Array], li
     steps = EPOCHS * -(-len(x) // BATCH)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     for _ in range(EPOCHS):
-        for batch in torch.randperm(len(x)).split(BATCH):
+        for batch in torch.randperm(len(x)).split(BATCH):  # type: ignore[no-untyped-call]
             loss = (network(x[batch]) - y[batch]).abs().mean()
             optimiser.zero_grad()
             loss.backward()

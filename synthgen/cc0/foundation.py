@@ -23,7 +23,7 @@ from synthgen.cc0.packing import (
 from synthgen.cc0.population import Bodies, BodyCut, cut_body, populate_bodies
 from synthgen.cc0.skeleton import SUPR75, Skeleton
 from synthgen.cc0.source import WHEEL, MakeHuman
-from synthgen.models import ManoModel, load
+from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.streams import stream
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Foundation:
     @staticmethod
     def lay(source: MakeHuman, skeleton: Skeleton, n_shapes: int) -> Foundation:
         """Draw the people; both families see the same ones."""
-        hand = load("cc0-hand")
+        hand = load_hand("cc0-hand")
         cut = cut_body(source, hand)
         people = populate_bodies(source, cut, hand, PEOPLE, rng=seeded("people"))
         return Foundation(source, hand, cut, people, skeleton, n_shapes)
@@ -63,7 +63,7 @@ class Foundation:
     @cached_property
     def template(self) -> Array:
         """Mean person, body then extras, (S, 3), metres."""
-        return self.bodies.vertices.mean(axis=0)
+        return np.asarray(self.bodies.vertices.mean(axis=0))
 
     @cached_property
     def _scores(self) -> tuple[Array, Array]:

@@ -69,7 +69,7 @@ def _below_legs(points: Array, at: dict[str, Array]) -> Array:
 def _at_neck(points: Array, at: dict[str, Array]) -> Array:
     middle = at["neck"] + [0, _NECK_UP_M, _NECK_AHEAD_M]
     ball = _NECK_RADIUS_M - np.linalg.norm(points - middle, axis=1)
-    return np.maximum(ball, points[:, 1] - middle[1])
+    return np.asarray(np.maximum(ball, points[:, 1] - middle[1]))
 
 
 def _sliced(points: Array, faces: Ints, field: Array) -> tuple[Array, Ints, Ints]:

@@ -17,7 +17,7 @@ from synthgen.cc0.adults import sample_bodies
 from synthgen.cc0.hand import CHAIN, bone_weights, hand_quads, straighten, triangles
 from synthgen.cc0.people import Region
 from synthgen.cc0.regressor import regress_joints
-from synthgen.cc0.skeleton import SUPR75, TOES, other_side
+from synthgen.cc0.skeleton import SUPR75, TOES
 from synthgen.cc0.source import MakeHuman
 from synthgen.cc0.unpose import DIGITS, dual_quaternion_skin, flatten, place
 from synthgen.errors import ModelError
@@ -27,7 +27,7 @@ from synthgen.geometry.rotations import (
     swing_between,
 )
 from synthgen.models import ManoModel
-from synthgen.models.joints import FINGERS
+from synthgen.models.joints import FINGERS, swapped_side
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -121,16 +121,14 @@ def cut_body(source: MakeHuman, hand: ManoModel) -> BodyCut:
         start += len(own)
     every = np.concatenate(ids)
     points = source.vertices[every]
-    away, mirror = cKDTree(points).query(points * _MIRROR)
-    if away.max() > 1e-9:
-        raise ModelError(f"the base mesh is not symmetric: {away.max()} m")
-    table = bone_weights(source)
+    mirror = _counterparts(points)
+    bones = bone_weights(source)
     hand_ids = np.unique(body.vertices[hand_quads(source, body)])
     if len(hand_ids) != len(hand.v_template):
         raise ModelError(f"{len(hand_ids)} hand vertices; the hand model has another topology")
     return BodyCut(
-        faces, texture, n_body, every, extras, quads, mirror.astype(np.int64), tuple(table),
-        np.stack([column[every] for column in table.values()], axis=1), hand_ids,
+        faces, texture, n_body, every, extras, quads, mirror, tuple(bones),
+        np.stack([column[every] for column in bones.values()], axis=1), hand_ids,
     )  # fmt: skip
 
 
@@ -154,9 +152,16 @@ def populate_bodies(
 
 
 def _symmetric(people: Array, source: MakeHuman, region: Region) -> Array:
-    points = source.vertices[region.ids]
-    mirror = cKDTree(points).query(points * _MIRROR)[1]
+    mirror = _counterparts(source.vertices[region.ids])
     return np.asarray(0.5 * (people + people[:, mirror] * _MIRROR))
+
+
+def _counterparts(points: Array) -> Ints:
+    """Row of every point's mirror image, which must be there."""
+    away, mirror = cKDTree(points).query(points * _MIRROR)
+    if np.max(away) > 1e-9:
+        raise ModelError(f"the base mesh is not symmetric: off by {np.max(away)} m")
+    return np.asarray(mirror, dtype=np.int64)
 
 
 def _flat_arms(
@@ -248,17 +253,17 @@ def _settle(
 def _regressor(joints: Array, skin: Array, cut: BodyCut, hand: ManoModel) -> Array:
     """Fit right and middle rows; hands take the hand model's rows, left rows are mirrored."""
     result = np.zeros((len(SUPR75.names), cut.n_body))
-    middle = [k for k, name in enumerate(SUPR75.names) if other_side(name) == name]
+    middle = [k for k, name in enumerate(SUPR75.names) if swapped_side(name) == name]
     right = [
         k for k, name in enumerate(SUPR75.names)
         if name.startswith("right_") and k not in _RIGHT_HAND
     ]  # fmt: skip
     fitted = [*middle, *right]
     result[fitted] = regress_joints(joints[:, fitted], skin)
-    result[np.ix_(_RIGHT_HAND, cut.hand_ids)] = hand.J_regressor
+    result[np.ix_(np.array(_RIGHT_HAND), cut.hand_ids)] = hand.J_regressor
     mirror = cut.mirror[: cut.n_body]
     result[middle] = 0.5 * (result[middle] + result[middle][:, mirror])
     for k, name in enumerate(SUPR75.names):
         if name.startswith("left_"):
-            result[k] = result[SUPR75.index(other_side(name))][mirror]
+            result[k] = result[SUPR75.index(swapped_side(name))][mirror]
     return result

@@ -15,21 +15,17 @@ from numpy.typing import NDArray
 
 from synthgen.cc0.unpose import DIGITS
 from synthgen.geometry.rotations import matrix_from_axis_angle
-from synthgen.models.joints import FINGERS
+from synthgen.models.joints import (
+    FINGERS,
+    SMPLH52_NAMES,
+    SMPLH52_PARENTS,
+    SUPR75_NAMES,
+    SUPR75_PARENTS,
+    swapped_side,
+)
 
 Array = NDArray[np.float64]
 
-_TRUNK: Mapping[str, str] = {
-    "pelvis": "", "left_hip": "pelvis", "right_hip": "pelvis", "spine1": "pelvis",
-    "left_knee": "left_hip", "right_knee": "right_hip", "spine2": "spine1",
-    "left_ankle": "left_knee", "right_ankle": "right_knee", "spine3": "spine2",
-    "left_foot": "left_ankle", "right_foot": "right_ankle", "neck": "spine3",
-    "left_collar": "spine3", "right_collar": "spine3", "head": "neck",
-    "left_shoulder": "left_collar", "right_shoulder": "right_collar",
-    "left_elbow": "left_shoulder", "right_elbow": "right_shoulder",
-    "left_wrist": "left_elbow", "right_wrist": "right_elbow",
-}  # fmt: skip
-_FACE = {"jaw": "head", "left_eye": "head", "right_eye": "head"}
 TOES = ("bigtoe", "indextoe", "middletoe", "ringtoe", "pinkytoe")
 # Joint of a bone, without the side; bones that are not named follow their parent.
 _OF_BONE = {
@@ -64,7 +60,7 @@ class Skeleton:
     @property
     def mirrored(self) -> NDArray[np.int64]:
         """Row of every joint's counterpart on the other side."""
-        return np.array([self.index(other_side(name)) for name in self.names])
+        return np.array([self.index(swapped_side(name)) for name in self.names])
 
     def nearest(self, name: str) -> int:
         """Row of the joint or, where the skeleton lacks it, of the one that stands for it."""
@@ -74,31 +70,8 @@ class Skeleton:
         return self.index(f"{side}_foot" if rest.rstrip("12") in TOES else "head")
 
 
-def _skeleton(*, face: bool, toes: bool) -> Skeleton:
-    tree = dict(_TRUNK) | (_FACE if face else {})
-    for side in ("left", "right"):
-        for finger in FINGERS:
-            tree |= _limb(f"{side}_wrist", f"{side}_{finger}", 3)
-    for side in ("left", "right") if toes else ():
-        for toe in TOES:
-            tree |= _limb(f"{side}_foot", f"{side}_{toe}", 2)
-    names = tuple(tree)
-    return Skeleton(names, tuple(names.index(p) if p else -1 for p in tree.values()))
-
-
-def _limb(root: str, stem: str, n: int) -> dict[str, str]:
-    return {f"{stem}{k}": root if k == 1 else f"{stem}{k - 1}" for k in range(1, n + 1)}
-
-
-SMPLH52 = _skeleton(face=False, toes=False)
-SUPR75 = _skeleton(face=True, toes=True)
-
-
-def other_side(name: str) -> str:
-    """Name of the counterpart: left for right, the name itself on the midline."""
-    if name.startswith("left_"):
-        return "right_" + name.removeprefix("left_")
-    return "left_" + name.removeprefix("right_") if name.startswith("right_") else name
+SMPLH52 = Skeleton(SMPLH52_NAMES, SMPLH52_PARENTS)
+SUPR75 = Skeleton(SUPR75_NAMES, SUPR75_PARENTS)
 
 
 def joint_of_bones(parents: Mapping[str, str]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from synthgen.cc0 import correctives
 from synthgen.cc0.body import corrective_report, hand_blocks, training_poses
-from synthgen.cc0.body_correctives import learn_activations, mirror_blocks, quaternion_feature
+from synthgen.cc0.body_correctives import learn_activations, mirror_blocks
 from synthgen.cc0.dress import attachments
 from synthgen.cc0.elastic import ElasticHand
 from synthgen.cc0.face import expression_space, packed_face
@@ -21,6 +21,7 @@ from synthgen.cc0.poses import pose_table, protocol_poses, single_joint_poses
 from synthgen.cc0.skeleton import SUPR75
 from synthgen.cc0.source import MakeHuman
 from synthgen.models import ManoModel
+from synthgen.models.pose_features import quaternion_feature
 from synthgen.sampling.limits import limits_of
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ def _correctives(base: Foundation, say: Progress) -> tuple[Array, Array, dict[st
     say("learning the hands' correctives")
     hand, hand_active = _hand_activations(base.hand)
     own = np.searchsorted(ids, base.cut.hand_ids)
-    fingers = [base.skeleton.index(name) for name in fingers_of("right")]
+    fingers = np.array([base.skeleton.index(name) for name in fingers_of("right")])
     flat = hand.transpose(0, 2, 1, 3).reshape(len(own), 3, -1)
     half[np.ix_(own, fingers)] = hand_blocks(base, flat, 4)
     active[np.ix_(own, fingers)] = hand_active
@@ -81,7 +82,7 @@ def _hand_activations(hand: ManoModel) -> tuple[Array, Array]:
         [single_joint_poses(limits), pose_table(limits, HAND_TRAINING, rng=seeded("hand"))]
     )
     offsets = np.einsum("nf,vcf->nvc", correctives.pose_feature(poses), hand.posedirs)
-    active = hand.posedirs.reshape(-1, 3, 15, 9).any(axis=(1, 3))
+    active = np.asarray(hand.posedirs.reshape(-1, 3, 15, 9).any(axis=(1, 3)))
     return learn_activations(quaternion_feature(poses)[:, 1:], offsets, active)
 
 

@@ -7,15 +7,22 @@ components and pose correctives from there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from synthgen.errors import ModelError
+from synthgen.models.arguments import checked
+from synthgen.models.chain import chain
+from synthgen.models.pose_features import feature_joints, rotations_and_features
+from synthgen.models.reference import rest
+
+if TYPE_CHECKING:
+    from synthgen.models.model import BodyModel
 
 Array = NDArray[np.float64]
 
@@ -48,28 +55,12 @@ class Attachment:
     colour: NDArray[np.uint8]
 
 
-class Body(Protocol):
-    """What a body needs to have for something to be bound to it."""
-
-    @property
-    def shapedirs(self) -> NDArray[Any]: ...  # noqa: D102
-
-    @property
-    def exprdirs(self) -> NDArray[Any] | None: ...  # noqa: D102
-
-    @property
-    def posedirs(self) -> NDArray[Any]: ...  # noqa: D102
-
-    @property
-    def weights(self) -> NDArray[Any]: ...  # noqa: D102
-
-
-def read_attachments(body: Body, extras: Mapping[str, Any]) -> tuple[Attachment, ...]:
+def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attachment, ...]:
     """Read every attachment of a shipped model.
 
     Parameters
     ----------
-    body : Body
+    body : BodyModel
         The model that they belong to.
     extras : mapping of str to array
         The other arrays of its file: ``attachments`` (names), ``garment_*``, ``eyes_*``, ...
@@ -85,7 +76,7 @@ def read_attachments(body: Body, extras: Mapping[str, Any]) -> tuple[Attachment,
         raise ModelError(f"no {error.args[0]!r}, which attachments needs") from None
 
 
-def _read(body: Body, extras: Mapping[str, Any], name: str) -> Attachment:
+def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
     exprdirs: Array | None
     posedirs: sparse.csr_matrix | None = None
     if f"{name}_bind_ids" in extras:
@@ -139,6 +130,34 @@ def _bound_correctives(bind: sparse.csr_matrix, posedirs: NDArray[Any]) -> spars
     """Correctives (3 A, F) of what is bound to skin with correctives (n, 3, F)."""
     flat = sparse.csr_matrix(posedirs.reshape(-1, posedirs.shape[2]).astype(np.float64))
     return sparse.csr_matrix(sparse.kron(bind, sparse.eye_array(3), format="csr") @ flat)
+
+
+def dressed(
+    model: BodyModel,
+    attachments: Iterable[Attachment],
+    shape: NDArray[Any],
+    pose: NDArray[Any],
+    translation: NDArray[Any] | None = None,
+    expression: NDArray[Any] | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Pose attachments as ``model.evaluate`` poses the body; same arguments.
+
+    Returns
+    -------
+    dict of str to (B, A, 3) float32
+        World vertices, metres, by the attachment's name.
+    """
+    given = checked(model, shape, pose, translation, expression)
+    rotations, features = rotations_and_features(model, given.pose)
+    rows = zip(given.shape, given.expression, strict=True)
+    joints = np.stack([rest(model, beta, psi)[1] for beta, psi in rows])
+    frames = chain(rotations, joints, model.parents)
+    frames[..., :3, 3] += given.translation[:, None]
+    feature = features[:, feature_joints(model)[0] :].reshape(len(features), -1)
+    return {
+        a.name: pose_attachment(a, given.shape, frames, joints, feature, given.expression)
+        for a in attachments
+    }
 
 
 def pose_attachment(

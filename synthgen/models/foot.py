@@ -9,16 +9,16 @@ touches nothing is not deformed.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial.transform import Rotation
 
 from synthgen.errors import ModelError, ShapeError
+from synthgen.models.pose_features import quaternion_feature
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -70,13 +70,10 @@ class FootNetwork:
         contact : (B, 266) bool
         """
         turns = np.asarray(pose, dtype=np.float64)[:, self.joint_ids]
-        quaternion = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(canonical=True)
-        quaternion[:, 3] -= 1
+        quaternions = quaternion_feature(turns).reshape(len(turns), -1)
         betas = np.asarray(shape, dtype=np.float64)
         own = betas @ self.shape_basis[:, : betas.shape[1]].T
-        return np.concatenate(
-            [quaternion.reshape(len(turns), -1), own, np.asarray(contact, np.float64)], axis=1
-        )
+        return np.concatenate([quaternions, own, np.asarray(contact, np.float64)], axis=1)
 
     def forward(self, feature: NDArray[Any]) -> Array:
         """Return the points' rest-pose offsets (B, 266, 3), metres, of inputs (B, 320).
@@ -160,7 +157,7 @@ def deform_feet(
     return result
 
 
-def read_feet(arrays: dict[str, Any]) -> tuple[FootNetwork, FootNetwork]:
+def read_feet(arrays: Mapping[str, Any]) -> tuple[FootNetwork, FootNetwork]:
     """Read the left and the right foot's network of a shipped model.
 
     The right foot's weights are stored; the left foot's network is its mirror image: inputs
@@ -191,7 +188,7 @@ def read_feet(arrays: dict[str, Any]) -> tuple[FootNetwork, FootNetwork]:
 
 
 def _foot(
-    arrays: dict[str, Any], side: Literal["left", "right"], matrices: list[Array],
+    arrays: Mapping[str, Any], side: Literal["left", "right"], matrices: list[Array],
     biases: list[Array],
 ) -> FootNetwork:  # fmt: skip
     vertex_ids = np.asarray(arrays[f"foot_{side}_vertex_ids"], dtype=np.int64)
