@@ -87,6 +87,7 @@ def build_body(content: Content) -> BodyModel:
         if "landmark_ids" in content.arrays
         else np.array(tables.LANDMARKS.get(v, ()), dtype=np.int64),
         vert_sym_idxs=content.ids("vert_sym_idxs") if "vert_sym_idxs" in content.arrays else None,
+        part_ids=_part_ids(content, v),
         axis_meta=tree,
         provenance=_provenance(content),
     )
@@ -148,6 +149,15 @@ def _vertex_ids(content: Content, key: str, count: int) -> Ids:
     if ids.shape != (count,) or ids.min() < 0 or ids.max() >= v:
         raise content.fail(f"{key} {ids.tolist()} are not {count} of {v} vertices")
     return ids
+
+
+def _part_ids(content: Content, v: int) -> dict[str, Ids]:
+    found = {k.removeprefix("part_"): content.ids(k) for k in content.arrays
+             if k.startswith("part_") and content.arrays[k].ndim == 1}  # fmt: skip
+    for part, ids in found.items():
+        if not len(ids) or ids.min() < 0 or ids.max() >= v:
+            raise content.fail(f"part_{part} refers to vertices beyond the {v} of the body")
+    return found
 
 
 def _hand_tips(content: Content, v: Array, weights: Array, rest: Array) -> tuple[Ids, str]:

@@ -93,41 +93,61 @@ def pose_skeleton(model: BodyModel, given: Arguments, packed: Packed) -> Skeleto
 
 def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDArray[Any]:
     """Return posed vertices (B, V, 3)."""
-    n, v, dtype = len(skeleton.skin), len(packed.weights), packed.basis.dtype
-    features, coefficients = basis_coefficients(packed, skeleton)
-    moved, out = translation.astype(dtype), np.empty((n, v, 3), dtype)
-    size = min(n, _SMALL_CHUNK if packed.basis.nbytes < _CACHED_BYTES else _CHUNK)
-    scratch = np.empty(3 * v * (size + kernels.TILE), dtype)
-    runs = packed.runs
-    for part in (slice(k, min(k + size, n)) for k in range(0, n, max(size, 1))):
-        skinned, points = _rest_points(packed, coefficients[part], scratch)
-        skinned(
-            points, features[part], runs.start, runs.feature, runs.offset, runs.values,
-            skeleton.skin[part], packed.joint_ids, packed.weights, packed.excess, moved[part],
-            out[part].reshape(-1, 3 * v),
-        )  # fmt: skip
-    return out
-
-
-def basis_coefficients(packed: Packed, skeleton: Skeleton) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return pose features (B, K q), and what multiplies the basis' first rows (B, r)."""
-    n = len(skeleton.skin)
-    features = skeleton.features.reshape(n, -1 if n else 1).astype(packed.basis.dtype)
-    rows = [features[:, packed.dense] if n else features, skeleton.coefficients]
-    return features, np.concatenate(rows, axis=1, dtype=packed.basis.dtype)
-
-
-def _rest_points(
-    packed: Packed, coefficients: NDArray[Any], scratch: NDArray[Any]
-) -> tuple[Any, NDArray[Any]]:
-    """Return the skinning kernel for a chunk, and rest points by its dense bases."""
-    n = len(coefficients)
-    basis = packed.basis[: coefficients.shape[1]]
+    n, v = len(skeleton.skin), len(packed.weights)
+    rows, features, moved = basis_coefficients(packed, skeleton, translation)
+    out = np.empty((n, 3 * v), packed.basis.dtype)
     if n < _TILED_FROM:
-        return kernels.skin_samples, coefficients @ basis
-    filled = np.pad(coefficients, ((0, -n % kernels.TILE), (0, 0)))
+        points = rows @ packed.basis[: rows.shape[1]]
+        skin_part(kernels.skin_samples, packed, points, features, skeleton.skin, moved, out)
+        return out.reshape(n, v, 3)
+    size = min(n, _SMALL_CHUNK if packed.basis.nbytes < _CACHED_BYTES else _CHUNK)
+    scratch = np.empty(3 * v * (size + kernels.TILE), packed.basis.dtype)
+    for k in range(0, n, size):
+        part = slice(k, min(k + size, n))
+        points = _tiled_points(packed, rows[part], scratch)
+        skin_part(
+            kernels.skin_tiles, packed, points, features[part], skeleton.skin[part], moved[part],
+            out[part],
+        )  # fmt: skip
+    return out.reshape(n, v, 3)
+
+
+def basis_coefficients(
+    packed: Packed, skeleton: Skeleton, translation: Array
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return what multiplies the basis' first rows (B, r), pose features (B, K q), shift (B, 3).
+
+    All in the type of the packed bases.
+    """
+    n, k, q = skeleton.features.shape
+    dtype, used = packed.basis.dtype, len(packed.dense) + skeleton.coefficients.shape[1]
+    rows, features = np.empty((n, used), dtype), np.empty((n, k * q), dtype)
+    moved = np.empty((n, 3), dtype)
+    kernels.assemble(
+        skeleton.features.reshape(n, k * q), skeleton.coefficients, packed.dense, translation,
+        rows, features, moved,
+    )  # fmt: skip
+    return rows, features, moved
+
+
+def skin_part(
+    kernel: Any, packed: Packed, points: NDArray[Any], features: NDArray[Any],
+    skin: NDArray[Any], moved: NDArray[Any], out: NDArray[Any],
+) -> None:  # fmt: skip
+    """Run a skinning kernel on rest points by the dense bases -> out (B, 3 V)."""
+    runs = packed.runs
+    kernel(
+        points, features, runs.start, runs.feature, runs.offset, runs.values, skin,
+        packed.joint_ids, packed.weights, packed.excess, moved, out,
+    )  # fmt: skip
+
+
+def _tiled_points(packed: Packed, rows: NDArray[Any], scratch: NDArray[Any]) -> NDArray[Any]:
+    """Rest points (3 V, C) by the dense bases, C filled up to whole tiles."""
+    basis = packed.basis[: rows.shape[1]]
+    filled = np.pad(rows, ((0, -len(rows) % kernels.TILE), (0, 0)))
     points = scratch[: basis.shape[1] * len(filled)].reshape(basis.shape[1], len(filled))
-    return kernels.skin_tiles, np.matmul(basis.T, filled.T, out=points)
+    return np.matmul(basis.T, filled.T, out=points)
 
 
 def _coefficients(model: BodyModel, given: Arguments, joint_basis: Array) -> tuple[Array, Array]:

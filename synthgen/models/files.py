@@ -17,7 +17,7 @@ from synthgen.models.mano import ManoModel
 from synthgen.models.merging import lacks_hands, merged
 from synthgen.models.mirror import mirror_model
 from synthgen.models.model import BodyModel, Hand
-from synthgen.models.shipped import dequantised
+from synthgen.models.shipped import decoded
 
 Pair = tuple[str | Path, str | Path]
 
@@ -133,7 +133,7 @@ def _content(path: Path, pair: tuple[Path, Path] | None) -> Content:
 
 
 def _fresh(path: Path, pair: tuple[Path, Path] | None, sha256: str) -> Content:
-    content = dequantised(read_content(path))
+    content = decoded(read_content(path))
     if pair is not None and path not in pair and lacks_hands(content):
         content = merged(content, pair)
     if lacks_hands(content):

@@ -21,6 +21,37 @@ _SMALL = 1e-4
 
 
 @njit(cache=True, error_model="numpy")
+def within(limit: float, a: Any, b: Any, c: Any, d: Any) -> bool:
+    """Tell whether all numbers of four vectors are finite and at most ``limit`` in size."""
+    for values in (a, b, c, d):
+        for i in range(values.shape[0]):
+            if not abs(values[i]) <= limit:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def assemble(
+    features: Any, coefficients: Any, dense: Any, moved: Any, rows: Any, joint_features: Any,
+    shift: Any,
+) -> None:  # fmt: skip
+    """Round what the bases are multiplied with: features (B, K q), coefficients (B, n).
+
+    rows (B, r + n): the r dense features, then the coefficients; joint_features (B, K q): all of
+    them; shift (B, 3): the translation.
+    """
+    for b in range(features.shape[0]):
+        for i in range(features.shape[1]):
+            joint_features[b, i] = features[b, i]
+        for i in range(dense.shape[0]):
+            rows[b, i] = features[b, dense[i]]
+        for i in range(coefficients.shape[1]):
+            rows[b, dense.shape[0] + i] = coefficients[b, i]
+        for i in range(3):
+            shift[b, i] = moved[b, i]
+
+
+@njit(cache=True, error_model="numpy")
 def turn(theta: Any, q: int, rotations: Any, features: Any) -> None:
     """Axis-angle (B, K, 3) -> rotations (B, K, 3, 3) and features (B, K, q), q 9 or 4."""
     for b in range(theta.shape[0]):
@@ -120,6 +151,12 @@ def skin_samples(
             for n in range(start[v], start[v + 1]):
                 size = (offset[n + 1] - offset[n]) // 3
                 g, o0 = f[first[n] : first[n] + size], offset[n]
+                if size == 4:  # one joint's quaternion: a loop would cost more than the sums
+                    m = values[o0 : o0 + 12]
+                    x += m[0] * g[0] + m[1] * g[1] + m[2] * g[2] + m[3] * g[3]
+                    y += m[4] * g[0] + m[5] * g[1] + m[6] * g[2] + m[7] * g[3]
+                    z += m[8] * g[0] + m[9] * g[1] + m[10] * g[2] + m[11] * g[3]
+                    continue
                 mx, my = values[o0 : o0 + size], values[o0 + size : o0 + 2 * size]
                 mz = values[o0 + 2 * size : o0 + 3 * size]
                 for i in range(size):

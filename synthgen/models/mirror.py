@@ -103,6 +103,7 @@ def mirror_model(model: AnyModel, vertices: NDArray[Any] | None = None) -> AnyMo
         hands_right=_mirror_space(model.hands_left),
         fingertip_ids=_mirror_tips(model, pairs),
         landmark_ids=_mirror_landmarks(model, pairs),
+        part_ids={swapped_side(k): np.sort(v[ids]) for k, ids in model.part_ids.items()},
         axis_meta=_mirror_tree(model.axis_meta, pairs),
     )
     return _mirror_hand(mirrored) if isinstance(mirrored, ManoModel) else mirrored

@@ -22,6 +22,7 @@ Joint names: fingers of a hand model are ``index1`` .. ``thumb3``; on a body the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -114,6 +115,8 @@ class BodyModel:
         ``joints.LANDMARK_NAMES``.
     vert_sym_idxs : (V,) int64 or None
         Mirror image of each vertex, where the file says so.
+    part_ids : mapping of str to (n,) int64
+        Vertices of "head", "left_hand", ..., where the file names them (``part_*``).
     axis_meta : ConstrainedTree or None
         Given: the pose is (B, P) angles.
     constrained : "official" or "consistent"
@@ -147,6 +150,7 @@ class BodyModel:
     fingertip_set: str = ""
     landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     vert_sym_idxs: NDArray[np.int64] | None = None
+    part_ids: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     axis_meta: ConstrainedTree | None = None
     constrained: Constrained = "official"
     provenance: str = ""

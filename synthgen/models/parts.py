@@ -57,7 +57,7 @@ def separate(body: BodyModel, part: PartName | NDArray[Any]) -> Part:
         Of any family.
     part : str or (n,) int
         "head", "left_hand", "right_hand", "left_foot" or "right_foot" (the vertices that the
-        part's own joints move most), or the vertices themselves.
+        file names as such, else those that the part's own joints move most), or the vertices.
 
     Raises
     ------
@@ -92,19 +92,22 @@ def separate(body: BodyModel, part: PartName | NDArray[Any]) -> Part:
         fingertip_ids=_kept_tips(body, place),
         landmark_ids=np.zeros(0, dtype=np.int64),
         vert_sym_idxs=None,
+        part_ids={},
         axis_meta=tree,
     )
     return Part(model, vertices, joints, columns)
 
 
 def part_vertices(body: BodyModel, part: str) -> Ids:
-    """Return the vertices that a part's own joints move most.
+    """Return a part's vertices: those that the file names, else those its own joints move most.
 
     Raises
     ------
     ModelError
         If the part or its joints are not known.
     """
+    if part in body.part_ids:
+        return np.unique(body.part_ids[part])
     if part not in PARTS:
         raise ModelError(f"part {part!r}{nearest(part, PARTS)}; parts are {', '.join(PARTS)}")
     names = body.joint_names

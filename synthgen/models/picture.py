@@ -26,7 +26,10 @@ from synthgen.models.views import View, view_of
 Array = NDArray[np.float64]
 Image = NDArray[np.float64]
 SHAPE_SD, POSE_SD = 3.0, 2.0
+# Pixels and inches of a tile: many small ones for hands, few large ones for bodies.
 TILE = 220
+TILE_BODY = 360
+_PIXELS_PER_INCH = 152
 _OVERSAMPLE = 3
 _MARGIN = 1.12
 _CLAY = np.array([0.80, 0.62, 0.50])
@@ -171,9 +174,14 @@ def _row(
 
 
 def draw(
-    vertices: Array, faces: NDArray[np.int64], view: View, centre: Array, reach: float
+    vertices: Array,
+    faces: NDArray[np.int64],
+    view: View,
+    centre: Array,
+    reach: float,
+    tile: int = TILE,
 ) -> Image:
-    """Draw one mesh on white, (TILE, TILE, 3) sRGB in [0, 1].
+    """Draw one mesh on white, (tile, tile, 3) sRGB in [0, 1].
 
     Parameters
     ----------
@@ -184,8 +192,10 @@ def draw(
         In the view's axes, x right, y up, z towards the viewer.
     reach : float
         Half of what the tile shows, metres.
+    tile : int
+        Pixels.
     """
-    size = TILE * _OVERSAMPLE
+    size = tile * _OVERSAMPLE
     local = vertices @ view.axes.T - centre
     seen = np.stack([local[:, 0], -local[:, 1], _DISTANCE * reach - local[:, 2]], axis=1)
     focal = 0.5 * size * _DISTANCE / _MARGIN
@@ -200,7 +210,7 @@ def draw(
     corners = normals[faces[face_id[hit]]]
     normal = unit(np.einsum("pk,pkc->pc", barycentric[hit], corners))
     image[hit] = _shade(normal)
-    blocks = image.reshape(TILE, _OVERSAMPLE, TILE, _OVERSAMPLE, 3).mean(axis=(1, 3))
+    blocks = image.reshape(tile, _OVERSAMPLE, tile, _OVERSAMPLE, 3).mean(axis=(1, 3))
     srgb: Image = np.clip(blocks, 0, 1) ** (1 / 2.2)
     return srgb
 
@@ -227,7 +237,8 @@ def _figure(model: BodyModel, rows: list[Row], path: Path) -> None:
     from matplotlib.figure import Figure
 
     columns = 1 + max(len(row.plus) for row in rows)
-    side, line = 1.45, 0.42  # inches
+    pixels = TILE if model.hand is not None else TILE_BODY
+    side, line = pixels / _PIXELS_PER_INCH, 0.42  # inches
     height = len(rows) * (2 * side + line) + line
     figure = Figure(figsize=(columns * side, height), facecolor="white")
     title = f"{Path(model.name).stem}{' ' + model.hand if model.hand else ''}"
@@ -238,21 +249,21 @@ def _figure(model: BodyModel, rows: list[Row], path: Path) -> None:
     def tile(image: Image, column: float, top: float, label: str = "") -> None:
         box = (column / columns, 1 - (top + side) / height, 1 / columns, side / height)
         axes = figure.add_axes(box)
-        axes.imshow(image, interpolation="none")
+        axes.imshow(image, interpolation="nearest")
         axes.set_axis_off()
         if label:
-            axes.text(6, TILE - 8, label, fontsize=8, color="0.35")
+            axes.text(6, pixels - 8, label, fontsize=8, color="0.35")
 
     for k, row in enumerate(rows):
         top = line + k * (2 * side + line)
         figure.text(0.01, 1 - (top + 0.2) / height, row.title, fontsize=10, va="center")
         centre, reach = _frame(row)
         top += line
-        mean = draw(row.mean, row.faces, row.view, centre, reach)
+        mean = draw(row.mean, row.faces, row.view, centre, reach, pixels)
         tile(mean, 0, top + side / 2, row.mean_title)
         for j, (plus, minus) in enumerate(zip(row.plus, row.minus, strict=True)):
-            above = draw(plus, row.faces, row.view, centre, reach)
-            below = draw(minus, row.faces, row.view, centre, reach)
+            above = draw(plus, row.faces, row.view, centre, reach, pixels)
+            below = draw(minus, row.faces, row.view, centre, reach, pixels)
             tile(above, j + 1, top, f"+ {j + 1}")
             tile(below, j + 1, top + side, f"− {j + 1}")
-    figure.savefig(path, dpi=TILE / side)
+    figure.savefig(path, dpi=_PIXELS_PER_INCH)

@@ -1,57 +1,72 @@
 """What shipped files hold beyond the published keys, and how it is stored.
 
-Shipped models use the published key names, so that one reader reads them and users' files. Large
-arrays are quantised: ``KEY_q`` (int16 or int8) times ``KEY_scale`` (a number, or one that
-broadcasts) stands for ``KEY``. Extra keys describe what published files lack: ``joint_names``,
-``fingertip_ids``, ``landmark_ids``, ``joint_axes``, ``joint_range``, ``uv``, ``arm_*``, ``mask_*``
-for drawn hands; ``garment_*``, ``eyes_*``, ``lashes_*``, ``part_*``, ``foot_*`` for bodies, read
-by those who use them through :func:`shipped_extras`.
+Shipped models use the published key names, so that one reader reads them and users' files. Whole
+bodies come in the form of :mod:`synthgen.models.compact`; in a hand ``KEY_q`` (int16 or int8)
+times ``KEY_scale`` (a number, or one that broadcasts) stands for ``KEY``. Extra keys describe
+what published files lack: ``joint_names``, ``fingertip_ids``, ``landmark_ids``, ``part_*`` (vertex
+ids), ``joint_axes``, ``joint_range``, ``uv``, ``arm_*``, ``mask_*``. What else is there
+(``garment_*``, ``eyes_*``, ``lashes_*``, ``foot_*``, ...) is read by those who use it through
+:func:`shipped_extras`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.errors import ModelError
+from synthgen.models import compact
 from synthgen.models.content import Content, read_content
 from synthgen.models.finding import find
 from synthgen.models.surface import Arm, HandSurface
 
-EXTRA_PREFIXES = ("garment_", "eyes_", "lashes_", "part_", "foot_")
+_PUBLISHED: Final = frozenset(
+    (
+        *("v_template", "shapedirs", "exprdirs", "posedirs", "weights", "J_regressor", "f", "J"),
+        *("kintree_table", "bs_style", "bs_type"),
+        *(f"hands_{key}{s}" for key in ("mean", "components", "coeffs") for s in ("", "l", "r")),
+    )
+)
 
 
-def dequantised(content: Content) -> Content:
-    """Return the content with every ``KEY_q`` turned into its float ``KEY``.
+def decoded(content: Content) -> Content:
+    """Return a file's content with what is stored compactly written out; others pass unchanged.
 
     Raises
     ------
     ModelError
-        If the scale is missing or does not fit.
+        If a scale or another part of the compact form is missing or does not fit.
     """
-    result = {k: v for k, v in content.arrays.items() if not _is_quantised(content, k)}
-    for key in content.arrays:
-        if _is_quantised(content, key):
+    arrays = content.arrays
+    if compact.is_shipped(arrays):
+        try:
+            arrays = compact.expand(arrays)
+        except (ModelError, ValueError, IndexError, TypeError) as error:
+            raise content.fail(f"its compact form does not fit together ({error})") from None
+    result = {k: v for k, v in arrays.items() if not _is_quantised(k, v)}
+    for key, integers in arrays.items():
+        if _is_quantised(key, integers):
             name = key.removesuffix("_q")
             try:
-                values = content.numbers(key) * content.numbers(f"{name}_scale")
-            except ValueError:
-                raise content.fail(f"{name}_scale does not fit {key}") from None
-            result[name] = values
+                result[name] = integers * np.asarray(arrays[f"{name}_scale"], dtype=np.float64)
+            except (KeyError, ValueError):
+                raise content.fail(f"{name}_scale is missing or does not fit {key}") from None
             result.pop(f"{name}_scale", None)
-    return Content(content.path, result, content.meta, warnings=content.warnings)
+    return replace(content, arrays=result)
 
 
-def _is_quantised(content: Content, key: str) -> bool:
-    return key.endswith("_q") and content.arrays[key].dtype.kind == "i"
+def _is_quantised(key: str, array: NDArray[Any]) -> bool:
+    return key.endswith("_q") and array.dtype.kind == "i"
 
 
 def shipped_extras(name: str | Path) -> MappingProxyType[str, NDArray[Any]]:
-    """Return the extra arrays of a model's file (garments, eyes, parts, ...), dequantised.
+    """Return what a model's file holds beyond the keys of published files, decoded.
 
     Parameters
     ----------
@@ -61,7 +76,7 @@ def shipped_extras(name: str | Path) -> MappingProxyType[str, NDArray[Any]]:
     Returns
     -------
     mapping of str to array
-        Keys that start with one of ``EXTRA_PREFIXES``; empty for published files.
+        Garments, eyes, parts, foot networks, masks, ...
     """
     path = find(name)
     return _extras(str(path), path.stat().st_mtime_ns)
@@ -69,8 +84,8 @@ def shipped_extras(name: str | Path) -> MappingProxyType[str, NDArray[Any]]:
 
 @lru_cache(maxsize=4)
 def _extras(path: str, stamp: int) -> MappingProxyType[str, NDArray[Any]]:
-    arrays = dequantised(read_content(Path(path))).arrays
-    return MappingProxyType({k: v for k, v in arrays.items() if k.startswith(EXTRA_PREFIXES)})
+    arrays = decoded(read_content(Path(path))).arrays
+    return MappingProxyType({k: v for k, v in arrays.items() if k not in _PUBLISHED})
 
 
 def hand_surface(content: Content, weights: NDArray[Any], faces: NDArray[np.int64]) -> HandSurface:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ShapeError
 from synthgen.models import kernels, vjp_kernels
 from synthgen.models.arguments import Arguments, checked
-from synthgen.models.evaluation import Skeleton, basis_coefficients, pose_skeleton
+from synthgen.models.evaluation import Skeleton, basis_coefficients, pose_skeleton, skin_part
 from synthgen.models.pose_tangents import of_vectors, tangents
 
 if TYPE_CHECKING:
@@ -87,14 +87,11 @@ def forward(
     given = checked(model, shape, pose, translation, expression)
     packed = model.packed if dtype == np.float32 else model.packed_double
     skeleton = pose_skeleton(model, given, packed)
-    features, coefficients = basis_coefficients(packed, skeleton)
-    points = coefficients @ packed.basis[: coefficients.shape[1]]
-    out, runs = np.empty_like(points), packed.runs
-    kernels.skin_samples(
-        points, features, runs.start, runs.feature, runs.offset, runs.values, skeleton.skin,
-        packed.joint_ids, packed.weights, packed.excess, given.translation.astype(dtype), out,
-    )  # fmt: skip
-    vertices = out.reshape(len(out), -1, 3)
+    rows, features, moved = basis_coefficients(packed, skeleton, given.translation)
+    points = rows @ packed.basis[: rows.shape[1]]
+    out = np.empty_like(points)
+    skin_part(kernels.skin_samples, packed, points, features, skeleton.skin, moved, out)
+    vertices = out.reshape(len(out), len(packed.weights), 3)
     joints = np.ascontiguousarray(skeleton.transforms[..., :3, 3])
     return Forward(model, packed, given, skeleton, points, vertices, joints)
 

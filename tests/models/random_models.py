@@ -34,7 +34,9 @@ class Draw:
         return Draw(*(None if a is None else a[list(b)] for a in self))
 
 
-def model(kind: str, *, pairs: int = 30, betas: int = 6, seed: int = 0) -> BodyModel:
+def model(
+    kind: str, *, pairs: int = 30, betas: int = 6, seed: int = 0, active: float = 0.15
+) -> BodyModel:
     """A model of few vertices; "supr" has expressions and sparse correctives, "supr296" the
     paper's columns, "official" and "consistent" are constrained trees."""
     if kind == "mano":
@@ -57,9 +59,9 @@ def model(kind: str, *, pairs: int = 30, betas: int = 6, seed: int = 0) -> BodyM
         )
         return replace(made, hands_left=left, hands_right=right)
     if kind == "supr":
-        active = np.repeat(rng.random((v, k)) < 0.15, 4, axis=1)[:, None]
+        kept = np.repeat(rng.random((v, k)) < active, 4, axis=1)[:, None]
         faces = rng.normal(0, 0.01, (v, 3, 5))
-        return replace(made, exprdirs=faces, posedirs=made.posedirs * active)
+        return replace(made, exprdirs=faces, posedirs=made.posedirs * kept)
     if kind == "supr296":
         return replace(made, posedirs=made.posedirs[..., 4:])
     if kind in ("official", "consistent"):
