@@ -16,10 +16,12 @@ from synthgen.cc0.foundation import Foundation
 from synthgen.cc0.packing import packed_expressions
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _BY_JOINT = ("jawOpen", "jawLeft", "jawRight", "jawForward", "tongueOut")
 STRENGTH_SD, SIDES_TOGETHER = 0.22, 0.85
 MOST = 50
+EYE_REACH_M = 0.045
 
 
 def expression_space(base: Foundation) -> tuple[Array, dict[str, Any]]:
@@ -34,7 +36,7 @@ def expression_space(base: Foundation) -> tuple[Array, dict[str, Any]]:
     place[base.cut.ids] = np.arange(len(base.cut.ids))
     moved = np.zeros((len(names), len(base.cut.ids), 3))
     for row, name in zip(moved, names, strict=True):
-        ids, offsets = units[name]
+        ids, offsets = _mended(base, name, *units[name])
         local = place[ids]
         row[local[local >= 0]] = offsets[local >= 0]
     moved *= _head_size(base)
@@ -51,6 +53,17 @@ def expression_space(base: Foundation) -> tuple[Array, dict[str, Any]]:
         "expression_units": coordinates.astype(np.float32),
     }
     return components.reshape(n, -1, 3).transpose(1, 2, 0), extra
+
+
+def _mended(base: Foundation, name: str, ids: Ints, offsets: Array) -> tuple[Ints, Array]:
+    """Drop what an eye's unit moves far from that eye: single vertices of the mouth's inside."""
+    if not name.startswith("eye"):
+        return ids, offsets
+    side = "r" if name.endswith("Right") else "l"
+    points = base.source.vertices
+    eye = points[np.unique(base.source.groups[f"helper-{side}-eye"].vertices)].mean(axis=0)
+    near = np.linalg.norm(points[ids] - eye, axis=1) < EYE_REACH_M
+    return ids[near], offsets[near]
 
 
 def _covariance(names: list[str]) -> Array:

@@ -138,9 +138,11 @@ def populate_bodies(
     """Draw adults, take them to the zero pose and regress their joints."""
     bones = source.bones()
     ends = {(b, end): bones[b][end] for b in cut.bones for end in ("head", "tail")}
-    region = Region.of(np.unique(np.concatenate([cut.ids, *ends.values()])), len(source.vertices))
+    mirror = _counterparts(source.vertices)
+    needed = np.unique(np.concatenate([cut.ids, *ends.values()]))
+    region = Region.of(np.union1d(needed, mirror[needed]), len(source.vertices))
     people, male = sample_bodies(source, region, n, rng=rng)
-    people = _symmetric(people, source, region)
+    people = 0.5 * (people + people[:, region.index[mirror[region.ids]]] * _MIRROR)
     at = {key: people[:, region.index[ids]].mean(axis=1) for key, ids in ends.items()}
     skin = people[:, region.index[cut.ids]]
     skin, heads, tips = _flat_arms(skin, at, cut, {b: bones[b]["parent"] for b in cut.bones})
@@ -149,11 +151,6 @@ def populate_bodies(
     factor = _stature(height, male)
     skin, joints, tips = (a * factor[:, None, None] for a in (skin, joints, tips))
     return _settle(skin, joints, tips, cut, hand, height * factor)
-
-
-def _symmetric(people: Array, source: MakeHuman, region: Region) -> Array:
-    mirror = _counterparts(source.vertices[region.ids])
-    return np.asarray(0.5 * (people + people[:, mirror] * _MIRROR))
 
 
 def _counterparts(points: Array) -> Ints:
@@ -190,6 +187,8 @@ def _flat_arms(
     flat = dual_quaternion_skin(skin[:, ours], weights[ours], rotations, moved)
     result[:, ours] = flat
     result[:, cut.mirror[ours]] = flat * _MIRROR
+    # a few vertices have weights of both arms, not quite alike
+    result = 0.5 * (result + result[:, cut.mirror] * _MIRROR)
     new_heads = {b: at[b, "head"] for b in cut.bones}
     for bone, where in placed.items():
         new_heads[f"{bone}.R"], new_heads[f"{bone}.L"] = where, where * _MIRROR

@@ -20,6 +20,7 @@ from synthgen.models.arguments import checked
 from synthgen.models.chain import chain
 from synthgen.models.pose_features import feature_joints, rotations_and_features
 from synthgen.models.reference import rest
+from synthgen.models.shipped import shipped_extras
 
 if TYPE_CHECKING:
     from synthgen.models.model import BodyModel
@@ -53,6 +54,11 @@ class Attachment:
     weights: Array
     faces: NDArray[np.int64]
     colour: NDArray[np.uint8]
+
+
+def attachments_of(model: BodyModel) -> tuple[Attachment, ...]:
+    """Return what a shipped body wears and holds; nothing for published and users' files."""
+    return read_attachments(model, shipped_extras(model.name))
 
 
 def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attachment, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ from scipy import sparse
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models.pose_features import quaternion_feature
+from synthgen.models.shipped import shipped_extras
+
+if TYPE_CHECKING:
+    from synthgen.models.model import BodyModel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -155,6 +159,17 @@ def deform_feet(
         blended = np.einsum("vk,bkij->bvij", np.asarray(weights)[ids], turns)
         result[:, ids] += (blended @ offsets[..., None])[..., 0].astype(np.float32)
     return result
+
+
+def feet_of(model: BodyModel) -> tuple[FootNetwork, FootNetwork]:
+    """Return the left and the right foot's network of a shipped model.
+
+    Raises
+    ------
+    ModelError
+        If it has none.
+    """
+    return read_feet(shipped_extras(model.name))
 
 
 def read_feet(arrays: Mapping[str, Any]) -> tuple[FootNetwork, FootNetwork]:
