@@ -38,7 +38,7 @@ def build_hand(content: Content, *, official_left_shape: bool) -> ManoModel:
         Keep a published left hand's shape bases as they are.
     """
     side = side_of(content)
-    shapes, done = content.numbers("shapedirs"), "right hand"
+    shapes, done = content.owned("shapedirs"), "right hand"
     if side == "left":
         shapes, done, words = left_shapedirs(content, shapes, official=official_left_shape)
         if done == "mended":
@@ -57,8 +57,8 @@ def build_hand(content: Content, *, official_left_shape: bool) -> ManoModel:
     return ManoModel(
         **{**arrays, "shapedirs": shapes},
         hand=side,
-        hands_mean=content.numbers("hands_mean"),
-        hands_components=content.numbers("hands_components"),
+        hands_mean=content.owned("hands_mean"),
+        hands_components=content.owned("hands_components"),
         hands_coeffs=content.optional("hands_coeffs"),
         fingertip_ids=tips,
         fingertip_set=tip_set,
@@ -125,11 +125,11 @@ def _arrays(content: Content, names: tuple[str, ...]) -> dict[str, Any]:
         "name": content.path.stem if is_shipped(content.path) else str(content.path),
         "family": content.family,
         "digest": content.digest,
-        "v_template": content.numbers("v_template"),
-        "shapedirs": content.numbers("shapedirs"),
+        "v_template": content.owned("v_template"),
+        "shapedirs": content.owned("shapedirs"),
         "posedirs": posedirs_of(content),
-        "weights": content.numbers("weights"),
-        "J_regressor": content.numbers("J_regressor"),
+        "weights": content.owned("weights"),
+        "J_regressor": content.owned("J_regressor"),
         "parents": parents,
         "faces": content.ids("f"),
         "joint_names": names,

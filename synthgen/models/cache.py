@@ -120,14 +120,17 @@ def keep(key: str, content: Content) -> None:
 def _save(folder: Path, key: str, array: NDArray[Any]) -> int:
     path = _file(folder, key)
     np.save(path, np.ascontiguousarray(array).reshape(array.shape), allow_pickle=False)
-    return _sum(path.read_bytes())
+    return _sum(np.fromfile(path, dtype=np.uint8))
 
 
 def _checked(folder: Path, key: str, total: int) -> NDArray[Any]:
-    data = _file(folder, key).read_bytes()
-    if _sum(data) != total:
+    path = _file(folder, key)
+    data = np.empty(path.stat().st_size, dtype=np.uint8)  # aligned and writable, read in place
+    with path.open("rb") as stream:
+        size = stream.readinto(data.data)
+    if size != len(data) or _sum(data) != total:
         raise ModelError(f"{key} differs from its checksum")
-    value = npy_value(data)
+    value = npy_value(data.data)
     if not isinstance(value, np.ndarray):
         raise ModelError(f"{key} is no array")
     return value
@@ -139,11 +142,12 @@ def _file(folder: Path, key: str) -> Path:
     return folder / f"{key if safe else hashlib.sha256(key.encode()).hexdigest()}.npy"
 
 
-def _sum(data: bytes) -> int:
+def _sum(data: NDArray[np.uint8]) -> int:
     """Sum the 64-bit words and the length: any flipped bit or cut shows, at memory speed."""
-    words = np.frombuffer(data, dtype="<u8", count=len(data) // 8)
-    rest = int.from_bytes(data[8 * len(words) :], "little")
-    return (int(np.add.reduce(words, dtype=np.uint64)) + rest + (len(data) << 32)) % 2**64
+    whole = len(data) // 8 * 8
+    words = int(np.add.reduce(data[:whole].view("<u8"), dtype=np.uint64))
+    rest = int.from_bytes(data[whole:].tobytes(), "little")
+    return (words + rest + (len(data) << 32)) % 2**64
 
 
 def _json(path: Path) -> dict[str, Any]:

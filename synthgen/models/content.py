@@ -73,9 +73,16 @@ class Content:
             raise self.fail(f"{key} holds {array.dtype}; expected numbers")
         return np.asarray(array, dtype=np.float64)
 
+    def owned(self, key: str) -> Array:
+        """Return an array as :meth:`numbers`, aligned and in one piece.
+
+        What a file's bytes hold is neither; compiled kernels would be made again for it.
+        """
+        return np.require(self.numbers(key), np.float64, ["C", "A", "W"])
+
     def optional(self, key: str) -> Array | None:
-        """Return an array as float64, or None where the file lacks it."""
-        return self.numbers(key) if key in self.arrays else None
+        """Return an array as :meth:`owned`, or None where the file lacks it."""
+        return self.owned(key) if key in self.arrays else None
 
     def ids(self, key: str) -> NDArray[np.int64]:
         """Return an array of whole numbers."""

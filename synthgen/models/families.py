@@ -16,6 +16,7 @@ from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.content import Array, Content, digest_of
 from synthgen.models.joints import MANO16_NAMES
 from synthgen.models.model import Family
+from synthgen.models.pickles import MAX_BYTES
 
 NEEDED: Final = (
     "v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f",
@@ -53,6 +54,7 @@ def checked(content: Content) -> Content:
     _check_ranks(content)
     family = family_of(content)
     _check_shapes(content, family)
+    _check_size(content)
     for key in _number_keys(content):
         _check_finite(content, key)
     _check_faces(content)
@@ -138,6 +140,17 @@ def _check_shapes(content: Content, family: Family) -> None:
             raise content.fail(
                 f"{key} is {found}; expected {words} (weights are {v} vertices x {k} joints)"
             )
+
+
+def _check_size(content: Content) -> None:
+    """Refuse what would fill memory once it is read as float64."""
+    total = 8 * sum(content.arrays[key].size for key in _number_keys(content))
+    if total > MAX_BYTES:
+        key = max(_number_keys(content), key=lambda k: content.arrays[k].size)
+        raise content.fail(
+            f"its arrays take {total} bytes as float64 (the largest, {key}, is "
+            f"{content.arrays[key].shape}); a model has at most {MAX_BYTES}"
+        )
 
 
 def _number_keys(content: Content) -> list[str]:
@@ -239,4 +252,4 @@ def _constrained_warnings(content: Content) -> tuple[str, ...]:
 
 def posedirs_of(content: Content) -> Array:
     """Return pose correctives (V, 3, n); some SUPR files store (3 V, n)."""
-    return content.numbers("posedirs").reshape(len(content.arrays["v_template"]), 3, -1)
+    return content.owned("posedirs").reshape(len(content.arrays["v_template"]), 3, -1)

@@ -96,7 +96,7 @@ def hand_surface(content: Content, weights: NDArray[Any], faces: NDArray[np.int6
     ModelError
         If one of its keys is missing.
     """
-    get = content.numbers
+    get = content.owned
     arm = Arm(
         template=get("arm_template"),
         shapedirs=get("arm_shapedirs"),

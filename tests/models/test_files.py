@@ -275,6 +275,18 @@ def test_edge_constrained_tree_of_ragged_lists(tmp_path: Path) -> None:
         load(path)
 
 
+def test_edge_arrays_that_grow_when_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Small integers in place of numbers: eight times their size as float64."""
+    content = mano_files.arrays()
+    content["posedirs"] = np.zeros((241, 3, 135), dtype=np.int8)
+    np.savez(tmp_path / "bad.npz", **content)
+    monkeypatch.setattr("synthgen.models.families.MAX_BYTES", 700_000)
+    with pytest.raises(ModelError, match=r"the largest, posedirs, is \(241, 3, 135\)"):
+        load(tmp_path / "bad.npz")
+
+
 def test_edge_a_body_is_no_hand(tmp_path: Path) -> None:
     np.savez(tmp_path / "model.npz", **body_files.body("star"))
     with pytest.raises(ModelError, match="16 joints"):
