@@ -44,9 +44,9 @@ def garment_mesh(base: Foundation) -> tuple[Array, Ints, Array, Ints, Array]:
     points = _pushed_out(points, faces, skin, skin_faces)
     at = dict(zip(base.skeleton.names, base.joints, strict=True))
     for cut in (_beyond_sleeves, _below_legs, _at_neck):
-        points, faces, _ = _sliced(points, faces, cut(points, at))
+        points, faces, _ = sliced(points, faces, cut(points, at))
     waist = at["pelvis"][1] + _WAIST * (at["spine1"] - at["pelvis"])[1]
-    points, low, high = _sliced(points, faces, points[:, 1] - waist)
+    points, low, high = sliced(points, faces, points[:, 1] - waist)
     used, faces = np.unique(np.concatenate([low, high]), return_inverse=True)
     points, faces = points[used], faces.reshape(-1, 3).astype(np.int64)
     points = _off_skin(points, skin, skin_faces, CLEARANCE_M)
@@ -72,7 +72,7 @@ def _at_neck(points: Array, at: dict[str, Array]) -> Array:
     return np.asarray(np.maximum(ball, points[:, 1] - middle[1]))
 
 
-def _sliced(points: Array, faces: Ints, field: Array) -> tuple[Array, Ints, Ints]:
+def sliced(points: Array, faces: Ints, field: Array) -> tuple[Array, Ints, Ints]:
     """Cut triangles along field = 0; return points with the new ones, faces below and above."""
     field = np.where(np.abs(field) < _SNAP_M, 0.0, field)
     corner = field[faces]
