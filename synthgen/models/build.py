@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from synthgen.models import joints as tables
 from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.content import Array, Content, digest_of
-from synthgen.models.families import NEEDED, posedirs_of
+from synthgen.models.families import NEEDED, parents_of, posedirs_of
 from synthgen.models.finding import is_shipped
 from synthgen.models.left_shape import left_shapedirs
 from synthgen.models.loft import loft_surface
@@ -119,8 +119,6 @@ def joint_names(content: Content, k: int) -> tuple[str, ...]:
 
 def _arrays(content: Content, names: tuple[str, ...]) -> dict[str, Any]:
     """Return what every family has, as keyword arguments."""
-    parents = content.ids("kintree_table")[0].copy()
-    parents[0] = -1
     return {
         "name": content.path.stem if is_shipped(content.path) else str(content.path),
         "family": content.family,
@@ -130,7 +128,7 @@ def _arrays(content: Content, names: tuple[str, ...]) -> dict[str, Any]:
         "posedirs": posedirs_of(content),
         "weights": content.owned("weights"),
         "J_regressor": content.owned("J_regressor"),
-        "parents": parents,
+        "parents": parents_of(content),
         "faces": content.ids("f"),
         "joint_names": names,
         "warnings": content.warnings,

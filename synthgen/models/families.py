@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
 from synthgen.models.constrained import ConstrainedTree
@@ -195,15 +196,30 @@ def _check_weights(content: Content) -> None:
         )
 
 
+def parents_of(content: Content) -> NDArray[np.int64]:
+    """Return the parent of each joint, -1 for the root.
+
+    The second row of ``kintree_table`` names the joints; parts cut from a body keep the body's
+    numbers there. Whatever stands for the root's parent (4294967295, -1, 0) is not read.
+    """
+    table = content.numbers("kintree_table")
+    place = {name: k for k, name in enumerate(table[1])}
+    parents = table[0].copy()
+    if len(place) == len(parents):
+        parents[1:] = [place.get(name, len(place)) for name in parents[1:]]
+    parents[0] = -1
+    return parents.astype(np.int64) if (parents % 1 == 0).all() else np.full(len(parents), -1)
+
+
 def _check_tree(content: Content) -> None:
-    parents = content.numbers("kintree_table")[0, 1:]
-    k = len(parents) + 1
-    wrong = np.flatnonzero((parents < 0) | (parents >= np.arange(1, k)) | (parents % 1 != 0))
+    parents = parents_of(content)
+    wrong = np.flatnonzero((parents[1:] < 0) | (parents[1:] >= np.arange(1, len(parents)))) + 1
     if len(wrong):
-        j = int(wrong[0]) + 1
+        j = int(wrong[0])
         raise content.fail(
-            f"kintree_table does not list parents before children: joint {j} has parent "
-            f"{int(parents[j - 1])}; expected 0 to {j - 1}"
+            "kintree_table does not list parents before children: its column "
+            f"{j} is {content.numbers('kintree_table')[:, j].tolist()} (parent, joint); expected "
+            "one of the joints before it for a parent"
         )
 
 

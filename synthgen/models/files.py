@@ -9,7 +9,7 @@ from pathlib import Path
 
 from synthgen.errors import ModelError
 from synthgen.models import cache
-from synthgen.models.build import build_body, build_hand
+from synthgen.models.build import build_body, build_hand, side_of
 from synthgen.models.content import Content, read_content
 from synthgen.models.families import checked
 from synthgen.models.finding import find, is_shipped, mano_pair
@@ -112,8 +112,14 @@ def _load(
     content = _content(path, pair)
     if content.family != "mano":
         return build_body(content)
-    model = build_hand(content, official_left_shape=official_left_shape)
-    return model if model.hand == hand else mirror_model(model)
+    own = side_of(content)
+    if official_left_shape and hand == "left" and own == "right":
+        raise ModelError(
+            f"{path} is a right hand; official_left_shape needs the published left hand's own file"
+        )
+    # a right hand made of a left one is right only if the left one's bases are mended
+    model = build_hand(content, official_left_shape=official_left_shape and hand == own)
+    return model if own == hand else mirror_model(model)
 
 
 def _content(path: Path, pair: tuple[Path, Path] | None) -> Content:

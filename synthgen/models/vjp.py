@@ -108,7 +108,11 @@ def _pull(state: Forward, force: NDArray[Any], push: Array) -> Gradient:
         packed.joint_ids, packed.weights, packed.excess, on_maps, on_points, on_features,
     )  # fmt: skip
     used = len(packed.dense) + skeleton.coefficients.shape[1]
-    on_rows = on_points @ packed.basis[:used].T
+    if n == 1:
+        on_rows = np.empty((1, used), flat.dtype)
+        vjp_kernels.pull_rows(packed.basis[:used], on_points[0], on_rows[0])
+    else:
+        on_rows = on_points @ packed.basis[:used].T
     on_features[:, packed.dense] += on_rows[:, : len(packed.dense)]
     omega, feature, column = _tangents(state)
     on_pose, on_rest = np.zeros((n, int(column.max()) + 1)), np.zeros((n, k, 3))

@@ -13,6 +13,7 @@ import pytest
 
 from synthgen.errors import ModelError
 from synthgen.models import ManoModel, list_models, load, load_hand
+from synthgen.models import joints as tables
 from synthgen.models.left_shape import against_growth
 from synthgen.sampling.streams import stream
 
@@ -163,6 +164,22 @@ def test_properties_left_shape_bug_is_mended(tmp_path: Path) -> None:
     assert json.loads(kept.provenance)["left_shape"] == "official"
     assert "wrong sign" in kept.warnings[0]
     assert mended.digest != kept.digest
+
+    other = load(tmp_path / "MANO_LEFT.npz", hand="right", official_left_shape=True)
+    np.testing.assert_array_equal(other.shapedirs, right["shapedirs"])
+    with pytest.raises(ModelError, match="published left hand's own file"):
+        load(tmp_path / "MANO_RIGHT.npz", hand="left", official_left_shape=True)
+
+
+def test_reference_joints_numbered_as_in_the_body_they_were_cut_from(tmp_path: Path) -> None:
+    content = body_files.body("supr")
+    content["kintree_table"] = content["kintree_table"].astype(np.int64) + 100
+    content["kintree_table"][0, 0] = 0
+    model = load(body_files.write_supr(tmp_path / "part.npy", content))
+    assert tuple(model.parents) == tables.SUPR75_PARENTS
+    content["kintree_table"][0, 7] = 999
+    with pytest.raises(ModelError, match=r"column 7 is \[999.0, 107.0\]"):
+        load(body_files.write_supr(tmp_path / "bad.npy", content))
 
 
 def test_properties_left_shape_without_its_twin(tmp_path: Path) -> None:

@@ -194,7 +194,8 @@ OPCODES = st.lists(
     st.one_of(
         st.sampled_from([bytes([b]) for b in range(256)]),
         st.sampled_from(
-            [*attacks.STREAMS.values(), b"cnumpy\ndtype\n", b"cnumpy\nndarray\n", b"U\x02f8", b")",
+            [*(s for s in attacks.STREAMS.values() if len(s) < 300), b"cnumpy\ndtype\n",
+             b"cnumpy\nndarray\n", b"U\x02f8", b")",
              b"cnumpy.core.multiarray\n_reconstruct\n", b"cnumpy.core.multiarray\nscalar\n", b"(",
              b"cnumpy._core.numeric\n_frombuffer\n", b"ccopy_reg\n__newobj__\n", b"\x81", b"R",
              b"ccollections\nOrderedDict\n", b"b", b"t", b"d", b"l", b"s", b"u", b"a", b"e",
@@ -218,14 +219,14 @@ def test_properties_fuzz(parts: list[bytes]) -> None:
 
 
 @pytest.mark.prove
-@settings(max_examples=60_000, deadline=1000)
+@settings(max_examples=20_000, deadline=None)
 @given(OPCODES)
 def test_prove_fuzz_of_opcodes(parts: list[bytes]) -> None:
     fuzz(parts)
 
 
 @pytest.mark.prove
-@settings(max_examples=60_000, deadline=1000)
+@settings(max_examples=20_000, deadline=None)
 @given(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 4000), st.binary(max_size=6)),
                                    min_size=1, max_size=5))  # fmt: skip
 def test_prove_fuzz_of_mutations(protocol: int, changes: list[tuple[int, bytes]]) -> None:
