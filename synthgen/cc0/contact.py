@@ -30,7 +30,7 @@ _PARENTS = np.array([-1, 0, 1, *(2 if k % 2 == 0 else 2 + k for k in range(10))]
 # The sole's points lie twice as dense as the others.
 _SOLE_DENSITY = 2.0
 # Reach of the sheet's springs and of a point's offset on the skin around it, metres.
-_SPRING_M, _SPREAD_M = 0.012, 0.007
+_SPRING_M, _SPREAD_M = 0.012, 0.0045
 # Pull of a point back to its place, against springs of unit total; of the bulge likewise.
 _ANCHOR, _BULGE_ANCHOR, _BULGE_SHARE = 0.15, 0.6, 0.4
 _DEPTH_M = (0.001, 0.008)
@@ -92,9 +92,8 @@ def right_foot(base: Foundation, ids: Ints) -> Foot:
     joint_shapes = np.einsum("kv,vcn->kcn", base.regressor[rows], base.shapes[: base.cut.n_body])
     local = (shapes - joint_shapes[1]).reshape(-1, shapes.shape[2])
     _, _, axes = np.linalg.svd(local, full_matrices=False)
-    longer = np.ptp(points[:, 2]) > 0  # a positive coefficient makes the foot longer
     length = shapes[points[:, 2].argmax(), 2] - shapes[points[:, 2].argmin(), 2]
-    sign = np.sign(axes[:2] @ length) if longer else np.ones(2)
+    sign = np.sign(axes[:2] @ length)  # a positive coefficient makes the foot longer
     return Foot(
         ids, chosen, points, base.joints[rows], weights, shapes[chosen], joint_shapes,
         axes[:2] * sign[:, None], springs, normals[chosen], spread,
@@ -102,7 +101,7 @@ def right_foot(base: Foundation, ids: Ints) -> Foot:
 
 
 def _even_points(points: Array, normals: Array) -> Ints:
-    """Farthest-point subset, denser on the sole; the open rim is left out."""
+    """Farthest-point subset, denser on the sole."""
     sole = (normals[:, 1] < -0.4) & (points[:, 1] < np.quantile(points[:, 1], 0.45))
     density = np.where(sole, _SOLE_DENSITY, 1.0)
     chosen = [int(points[:, 1].argmin())]

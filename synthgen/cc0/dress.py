@@ -126,10 +126,12 @@ def _ball() -> tuple[Array, Ints, Array]:
     faces, angle = [], []
     k = np.arange(_SEGMENTS)
     n = (k + 1) % _SEGMENTS
-    for r in range(len(_RINGS) - 1):
+    last = len(_RINGS) - 2
+    for r in range(last + 1):
         a, b = r * _SEGMENTS, (r + 1) * _SEGMENTS
         quads = np.stack([a + k, b + k, b + n, a + n], axis=1)
-        own = [quads[:, [0, 1, 2]]] if r > 0 else []
-        faces += [*own, quads[:, [0, 2, 3]]] if r else [quads[:, [0, 1, 2]]]
-        angle += [0.5 * (_RINGS[r] + _RINGS[r + 1])] * (_SEGMENTS * (2 if r else 1))
+        # at the poles one half of each quad has no area
+        halves = [quads[:, [0, 1, 2]]] * (r < last) + [quads[:, [0, 2, 3]]] * (r > 0)
+        faces += halves
+        angle += [0.5 * (_RINGS[r] + _RINGS[r + 1])] * (_SEGMENTS * len(halves))
     return np.concatenate(points), np.concatenate(faces), np.array(angle)

