@@ -1,8 +1,8 @@
 """Targets of the body's pose correctives: dual quaternions over MakeHuman's own bones.
 
 Forearm, upper arm and thigh twist along their length, and bent limbs keep their volume, which
-linear blend skinning of the merged joints cannot do. Only the right half is posed: the model is
-symmetric.
+linear blend skinning of the merged joints cannot do; one relaxation takes out bulges. Only the
+right half is posed: the model is symmetric.
 """
 
 from __future__ import annotations
