@@ -31,6 +31,14 @@ Picture = Annotated[
     Path | None,
     typer.Option("--picture", metavar="FILE", help="Draw template and components (.png)."),
 ]
+OneSide = Annotated[
+    Literal["right", "left"] | None,
+    typer.Option("--hand", help="Write this side of a hand: mirrored, or mended."),
+]
+OnePart = Annotated[
+    Literal["head", "left_hand", "right_hand", "left_foot", "right_foot"] | None,
+    typer.Option("--part", help="Write this part of a body."),
+]
 Source = Annotated[str, typer.Argument(metavar="SRC", help="A model's name or the path of a file.")]
 Destination = Annotated[
     Path,
@@ -104,14 +112,19 @@ def show(
 
 @app.command("convert")
 def convert(
-    source: Source, target: Destination, mano: Mano = None, as_json: Json = False
+    source: Source,
+    target: Destination,
+    mano: Mano = None,
+    hand: OneSide = None,
+    part: OnePart = None,
+    as_json: Json = False,
 ) -> Result:
     """Write a model as a clean .npz (no pickle), or in its family's official form (.pkl, .npy)."""
     from synthgen.models import convert as run
     from synthgen.models import load
 
-    path = run(source, target, mano=_pair(mano))
-    model = load(path)
+    path = run(source, target, mano=_pair(mano), hand=hand, part=part)
+    model = load(path, hand=hand or "right")
     payload = {
         "model": str(path),
         "family": model.family,

@@ -18,19 +18,33 @@ from synthgen.models.pose_maps import MappedPose, map_pose
 from synthgen.models.recentre import recentre
 from synthgen.models.surface import Arm, HandSurface, pose_surface
 from synthgen.models.symmetry import Symmetry, symmetry_of
+from synthgen.models.vertex_fit import VertexFit, fit_vertices
 from synthgen.models.writing import convert
 
 if TYPE_CHECKING:
     from synthgen.models.as_torch_layer import as_torch
-from synthgen.models.vertex_fit import VertexFit, fit_vertices
+    from synthgen.models.jacobian import Jacobian
+    from synthgen.models.vjp import Forward, Gradient, forward
+
+# Brought in when asked for: what these rest on (torch, compiled kernels) is slow to import.
+_LATE = {
+    "as_torch": "as_torch_layer",
+    "Jacobian": "jacobian",
+    "Forward": "vjp",
+    "Gradient": "vjp",
+    "forward": "vjp",
+}
 
 __all__ = [
     "KEYPOINTS73_NAMES",
     "Arm",
     "BodyModel",
     "ConstrainedTree",
+    "Forward",
+    "Gradient",
     "HandSpace",
     "HandSurface",
+    "Jacobian",
     "ManoModel",
     "MappedPose",
     "Part",
@@ -40,6 +54,7 @@ __all__ = [
     "as_torch",
     "convert",
     "fit_vertices",
+    "forward",
     "keypoints73",
     "list_models",
     "load",
@@ -59,9 +74,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Bring in torch only when ``as_torch`` is asked for."""
-    if name == "as_torch":
-        from synthgen.models.as_torch_layer import as_torch
+    """Load a name whose module is slow to import, on first use."""
+    from importlib import import_module
 
-        return as_torch
+    if name in _LATE:
+        return getattr(import_module(f"synthgen.models.{_LATE[name]}"), name)
     raise AttributeError(f"module 'synthgen.models' has no attribute {name!r}; it has {__all__}")

@@ -7,7 +7,7 @@ counts come from the file; only the relations between its arrays are fixed.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Final, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,9 @@ def family_of(content: Content) -> Family:
     ModelError
         If the file is of no family that is read.
     """
+    named = content.text("family")
+    if named in get_args(Family):  # parts of a body say so: they may have a hand's joint count
+        return cast(Family, named)
     v, k = content.arrays["weights"].shape
     columns = content.arrays["posedirs"].size // max(3 * v, 1)
     rows = content.arrays["J_regressor"].shape

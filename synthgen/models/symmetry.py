@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from synthgen.errors import ModelError
 from synthgen.models.joints import swapped_side
@@ -87,6 +86,8 @@ def _joints(model: BodyModel) -> Ids:
 
 def _nearest(model: BodyModel) -> Ids:
     """Pair every vertex with the one nearest to its mirror image."""
+    from scipy.spatial import cKDTree
+
     v = model.v_template
     return np.asarray(cKDTree(v).query(v * [-1.0, 1.0, 1.0])[1], dtype=np.int64)
 

@@ -1,7 +1,8 @@
 """Writing models out: a clean ``.npz``, or the official form of each family.
 
 What is written is what was read: the file's arrays in their own precision, nothing mended and
-nothing rounded, so that reading it back gives the same model.
+nothing rounded, so that reading it back gives the same model (unless another hand or a part of a
+body is asked for).
 """
 
 from __future__ import annotations
@@ -18,14 +19,24 @@ from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
 from synthgen.models.content import META, META_PREFIX, SUFFIXES, Content
+from synthgen.models.derived import hand_content, part_content
 from synthgen.models.files import Pair, load_content
+from synthgen.models.model import Hand
+from synthgen.models.parts import PartName
 
 # The form in which each family is published, beside the plain archive that all may have.
 OFFICIAL = {"mano": ".pkl", "smplh": ".pkl", "supr": ".npy", "star": ".npz"}
 
 
-def convert(source: str | Path, target: str | Path, *, mano: Pair | None = None) -> Path:
-    """Write a model's file in another form.
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    mano: Pair | None = None,
+    hand: Hand | None = None,
+    part: PartName | None = None,
+) -> Path:
+    """Write a model's file in another form, its other hand, or a part of it.
 
     Parameters
     ----------
@@ -36,6 +47,11 @@ def convert(source: str | Path, target: str | Path, *, mano: Pair | None = None)
         SMPL+H, a pickle (protocol 2) of plain arrays. ``.npy``: the official form of SUPR.
     mano : (left, right) or None
         As :func:`synthgen.models.load`; the pose spaces are written too.
+    hand : "left", "right" or None
+        Side of a hand to write: the file's own with its shape bases mended, or mirrored. None:
+        what the file holds, unchanged.
+    part : str or None
+        Part of a body to write, see :func:`synthgen.models.separate`.
 
     Returns
     -------
@@ -49,6 +65,8 @@ def convert(source: str | Path, target: str | Path, *, mano: Pair | None = None)
     """
     path = Path(target)
     content = load_content(source, mano=mano)
+    content = content if hand is None else hand_content(content, hand)
+    content = content if part is None else part_content(content, part)
     allowed = sorted({".npz", OFFICIAL[content.family or "star"]})
     if path.suffix not in allowed:
         raise ModelError(

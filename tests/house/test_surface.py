@@ -19,7 +19,10 @@ TOP = [
     "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scene",
     "verify",
 ]  # fmt: skip
-MODELS = {"ManoModel", "Posed", "list_models", "load"}
+MODELS = {
+    "BodyModel", "Forward", "Gradient", "HandSpace", "Jacobian", "ManoModel", "Posed", "as_torch",
+    "forward", "list_models", "load", "pose_from_pca", "recentre",
+}  # fmt: skip
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [
     "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",
@@ -38,7 +41,7 @@ VERBS = {
     "models show": [
         "NAME", "--hand", "--mano", "--official-left-shape", "--picture", "--json",
     ],
-    "models convert": ["SRC", "DST", "--mano", "--json"],
+    "models convert": ["SRC", "DST", "--mano", "--hand", "--part", "--json"],
     "models build": ["NAME", "--source", "--out", "--json"],
     "config schema": ["--json"],
     "config show": ["CONFIG", "--set", "--json"],

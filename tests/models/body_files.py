@@ -39,10 +39,12 @@ def body(family: str, *, pairs: int = 60, betas: int = 12, seed: int = 0) -> dic
     v = len(v_template)
     table = np.stack([np.array(parents), np.arange(k)]).astype(np.int64)
     table[0, 0] = 4294967295
+    weights = _weights(rng, v, k, parents)
+    near = np.argsort(weights.argmax(axis=1), kind="stable")[: v // 3 * 3].reshape(-1, 3)
     content = {
         "v_template": v_template,
-        "f": rng.integers(0, v, (2 * v, 3)).astype(np.uint32),
-        "weights": _weights(rng, v, k, parents),
+        "f": np.concatenate([near, rng.integers(0, v, (2 * v - len(near), 3))]).astype(np.uint32),
+        "weights": weights,
         "kintree_table": table.astype(np.uint32),
         "shapedirs": rng.normal(0, 0.01, (v, 3, betas)),
         "posedirs": rng.normal(0, 0.003, (v, 3, _features(family, k))),

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from synthgen.errors import ModelError
-from synthgen.models import convert, load, load_content, load_hand
+from synthgen.models import convert, load, load_content, load_hand, separate
 
 
-def source(family: str, folder: Path) -> Path:
+def source(family: str, folder: Path, pairs: int = 60) -> Path:
     if family == "mano":
         raw = body_files.raw_mano(mano_files.arrays())
         return body_files.write_python2(folder / "MANO_RIGHT.pkl", raw)
-    content = body_files.body(family.removesuffix("-constrained"))
+    content = body_files.body(family.removesuffix("-constrained"), pairs=pairs)
     if family == "smplh":
         raw = body_files.raw_smplh(content) | body_files.hands()
         return body_files.write_python2(folder / "SMPLH_male.pkl", raw)
@@ -93,6 +93,43 @@ def test_reference_a_merged_file_holds_the_pose_spaces(tmp_path: Path) -> None:
     space = load(merged).hands_left
     assert space is not None
     np.testing.assert_array_equal(space.mean, mano_files.arrays()["hands_mean"])
+
+
+@pytest.mark.parametrize("name", ["cc0-hand", "mano"])
+@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
+def test_reference_the_other_hand(name: str, suffix: str, tmp_path: Path) -> None:
+    start = name if name == "cc0-hand" else source("mano", tmp_path)
+    path = convert(start, tmp_path / f"other{suffix}", hand="left")
+    written, ours = load_hand(path, hand="left"), load_hand(start, hand="left")
+    for key in ("v_template", "shapedirs", "posedirs", "faces", "hands_mean", "hands_components"):
+        np.testing.assert_array_equal(getattr(written, key), getattr(ours, key))
+    if name == "cc0-hand":  # an arm that comes with the file; others are lofted when they are read
+        np.testing.assert_array_equal(written.surface.arm.template, ours.surface.arm.template)
+    again = convert(path, tmp_path / f"again{suffix}", hand="right")
+    np.testing.assert_array_equal(load_hand(again).posedirs, load_hand(start).posedirs)
+
+
+@pytest.mark.parametrize("family", ["supr", "supr-constrained", "smplh", "star"])
+@pytest.mark.parametrize("official", [False, True])
+def test_reference_a_part_of_a_body(family: str, official: bool, tmp_path: Path) -> None:
+    start = source(family, tmp_path, pairs=800)
+    suffix = {"supr": ".npy", "smplh": ".pkl"}.get(family[:5].rstrip("-"), ".npz")
+    path = convert(start, tmp_path / f"part{suffix if official else '.npz'}", part="right_hand")
+    found, cut = load(path), separate(load(start), "right_hand")
+    assert found.joint_names == cut.model.joint_names
+    pose = np.full((1, found.n_pose), 0.1)
+    pose = pose if found.axis_meta is not None else pose.reshape(1, -1, 3)
+    a, ja = found.evaluate_reference(np.ones((1, 3)), pose)
+    b, jb = cut.model.evaluate_reference(np.ones((1, 3)), pose)
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    np.testing.assert_allclose(ja, jb, atol=1e-9)
+
+
+def test_edge_no_such_hand_or_part(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="is no hand"):
+        convert(source("star", tmp_path), tmp_path / "x.npz", hand="left")
+    with pytest.raises(ModelError, match="is a hand already"):
+        convert("cc0-hand", tmp_path / "x.npz", part="head")
 
 
 def test_edge_targets(tmp_path: Path) -> None:
