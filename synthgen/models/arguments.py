@@ -58,7 +58,7 @@ def checked(
         from synthgen.models.hand_pca import expand_pose
 
         pose = expand_pose(model, pose, flat_hand_mean=flat_hand_mean)
-    theta = np.ascontiguousarray(pose, dtype=np.float64)
+    theta = _numbers(pose, "pose")
     n = len(theta) if theta.ndim else 0
     _check_pose(model, theta)
     betas = _coefficients(shape, n, model.n_shape, "shape", "nb", model.name)
@@ -68,13 +68,21 @@ def checked(
         )
     given = np.zeros((n, 0)) if expression is None else expression
     psi = _coefficients(given, n, model.n_expression, "expression", "ne", model.name)
-    moved = np.zeros((n, 3)) if translation is None else np.asarray(translation, dtype=np.float64)
+    moved = np.zeros((n, 3)) if translation is None else _numbers(translation, "translation")
     if moved.shape != (n, 3):
         raise ShapeError(f"translation has shape {moved.shape}; expected ({n}, 3)")
     _check_sizes(("pose", theta), ("shape", betas), ("translation", moved), ("expression", psi))
     if theta.ndim == 4:
         _check_rotations(theta)
     return Arguments(betas, theta, moved, psi)
+
+
+def _numbers(value: Any, what: str) -> Array:
+    """Copy to one kind of array, writable and contiguous: kernels are compiled for that alone."""
+    try:
+        return np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{what} is no array of numbers: {error}") from None
 
 
 def _check_pose(model: BodyModel, theta: Array) -> None:
@@ -104,7 +112,7 @@ def _check_rotations(matrices: Array) -> None:
 
 
 def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: str) -> Array:
-    values = np.asarray(value, dtype=np.float64)
+    values = _numbers(value, what)
     if values.ndim != 2 or len(values) != n or values.shape[1] > most:
         raise ShapeError(
             f"{what} is {values.shape}; model {name!r} expected ({n}, {count}) with "

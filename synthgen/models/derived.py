@@ -98,4 +98,11 @@ def _published(model: BodyModel) -> dict[str, NDArray[Any]]:
         "f": model.faces.astype(np.uint32),
         "joint_names": np.array(model.joint_names),
     }
-    return arrays if model.exprdirs is None else {**arrays, "exprdirs": model.exprdirs}
+    if model.exprdirs is not None:
+        arrays["exprdirs"] = model.exprdirs
+    for side, space in (("l", model.hands_left), ("r", model.hands_right)):
+        if space is not None:
+            arrays |= {f"hands_mean{side}": space.mean, f"hands_components{side}": space.components}
+            if space.coeffs is not None:
+                arrays[f"hands_coeffs{side}"] = space.coeffs
+    return arrays

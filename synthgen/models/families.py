@@ -64,7 +64,7 @@ def checked(content: Content) -> Content:
     _check_style(content)
     if family == "mano":
         _check_hand_space(content, "")
-    if family == "smplh":
+    else:
         for side in "lr":
             if any(f"{key}{side}" in content.arrays for key in _HAND_KEYS):
                 _check_hand_space(content, side)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,6 +110,8 @@ def jacobian(
     given = (shape, pose, translation, expression)
     args = checked(model, *(_batched(a) if single else a for a in given))
     wanted = _rows(rows, len(model.v_template))
+    if not len(args.pose):
+        raise ShapeError("a batch of no samples has no Jacobian; pass at least one")
     parts = [_one(model, args, b, wanted) for b in range(len(args.pose))]
     if single:
         values, vertices, joint_values, joints = parts[0]
@@ -126,11 +128,9 @@ def _one(
 ) -> tuple[Array, Array, Array, Array]:
     bases: RowBases = model.row_bases
     own = slice(b, b + 1)
-    zero = np.zeros((1, 3))
     args = Arguments(args.shape[own], args.pose[own], args.translation[own], args.expression[own])
-    skeleton = pose_skeleton(
-        model, Arguments(args.shape, args.pose, zero, args.expression), model.packed
-    )
+    still = replace(args, translation=np.zeros((1, 3)))  # it is added at the end
+    skeleton = pose_skeleton(model, still, model.packed)
     transforms, rotations = skeleton.transforms[0], skeleton.rotations[0]
     turned = tangents(model, args.pose[0], rotations, bases.n_features)
     axes = np.empty_like(turned.omega)

@@ -113,7 +113,7 @@ def pack(model: BodyModel, dtype: type[np.float32] | type[np.float64]) -> Packed
         weights=np.pad(weights, fill).astype(dtype),
         excess=np.where(np.abs(excess) < _UNIT_SUM, 0, excess).astype(dtype),
         joint_basis=fold_joints(model).reshape(-1, 3 * k),
-        parents=model.parents,
+        parents=np.array(model.parents, np.int64),
         n_features=q,
     )
 
@@ -121,7 +121,7 @@ def pack(model: BodyModel, dtype: type[np.float32] | type[np.float64]) -> Packed
 def fold_joints(model: BodyModel) -> Array:
     """Return rest joints as an affine function of [1, shape, expression]: (1 + nb + ne, K, 3)."""
     if model.joint_basis is not None:
-        return np.ascontiguousarray(model.joint_basis)
+        return np.array(model.joint_basis, np.float64, order="C")
     parts = [model.v_template[..., None], model.shapedirs]
     if model.exprdirs is not None:
         parts.append(model.exprdirs)

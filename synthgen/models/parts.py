@@ -63,11 +63,18 @@ def separate(body: BodyModel, part: PartName | NDArray[Any]) -> Part:
     ------
     ModelError
         If the body has no such part, or a vertex that does not exist is asked for.
+
+    Notes
+    -----
+    Expressions that move nothing of the part are left out.
     """
     vertices = part_vertices(body, part) if isinstance(part, str) else _given(body, part)
     joints = influences(body, vertices)
     tree, columns = _part_tree(body.axis_meta, joints)
+    exprdirs = None if body.exprdirs is None else body.exprdirs[vertices]
     basis = joint_basis(body)[:, joints]
+    if exprdirs is not None and not exprdirs.any() and not basis[1 + body.n_shape :].any():
+        exprdirs, basis = None, basis[: 1 + body.n_shape]
     first, _ = feature_joints(body)
     place = np.full(len(body.v_template), -1)
     place[vertices] = np.arange(len(vertices))
@@ -75,20 +82,23 @@ def separate(body: BodyModel, part: PartName | NDArray[Any]) -> Part:
     name = part if isinstance(part, str) else "part"
     parents = np.searchsorted(joints, body.parents[joints])
     parents[0] = -1
+    names = tuple(body.joint_names[j] for j in joints)
     model = replace(
         body,
         name=f"{body.name}/{name}",
         digest=_digest(body, vertices),
         v_template=body.v_template[vertices],
         shapedirs=body.shapedirs[vertices],
-        exprdirs=None if body.exprdirs is None else body.exprdirs[vertices],
+        exprdirs=exprdirs,
         posedirs=body.posedirs[vertices][:, :, feature_columns(body, joints[joints >= first])],
         weights=body.weights[vertices][:, joints],
-        J_regressor=_regressor(body, vertices, basis),
+        J_regressor=_regressor(body, vertices, exprdirs, basis),
         joint_basis=basis,
         parents=parents,
         faces=faces[(faces >= 0).all(axis=1)],
-        joint_names=tuple(body.joint_names[j] for j in joints),
+        joint_names=names,
+        hands_left=body.hands_left if _has_hand(names, "left") else None,
+        hands_right=body.hands_right if _has_hand(names, "right") else None,
         fingertip_ids=_kept_tips(body, place),
         landmark_ids=np.zeros(0, dtype=np.int64),
         vert_sym_idxs=None,
@@ -158,6 +168,10 @@ def feature_columns(body: BodyModel, joints: Ids) -> Ids:
     return np.append(columns, n - 1) if body.family == "star" else columns
 
 
+def _has_hand(names: tuple[str, ...], side: str) -> bool:
+    return {name for name in SMPLH52_NAMES[22:] if name.startswith(side)} <= set(names)
+
+
 def _belongs(name: str, part: str) -> bool:
     if part == "head":
         return name in ("head", "jaw", "left_eye", "right_eye")
@@ -183,7 +197,7 @@ def _kept_tips(body: BodyModel, place: NDArray[np.int64]) -> Ids:
     return np.asarray(tips[(tips >= 0).all(axis=1)].ravel(), dtype=np.int64)
 
 
-def _regressor(body: BodyModel, vertices: Ids, basis: Array) -> Array:
+def _regressor(body: BodyModel, vertices: Ids, exprdirs: Array | None, basis: Array) -> Array:
     """Return a regressor from the part's own vertices that gives the body's joints.
 
     The joints of a part depend on vertices that were cut away. Both are affine in the
@@ -191,7 +205,7 @@ def _regressor(body: BodyModel, vertices: Ids, basis: Array) -> Array:
     least squares; it lets a part be written in the form of its family.
     """
     moves = [body.v_template[vertices][..., None], body.shapedirs[vertices]]
-    moves += [] if body.exprdirs is None else [body.exprdirs[vertices]]
+    moves += [] if exprdirs is None else [exprdirs]
     points = np.concatenate(moves, axis=2)  # (V', 3, n)
     if body.family == "supr":
         flat = points.reshape(-1, points.shape[2])

@@ -20,7 +20,7 @@ from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.geometry.raster import rasterise
 from synthgen.models.hand_pca import finger_joints
 from synthgen.models.model import BodyModel, Hand, HandSpace
-from synthgen.models.parts import part_vertices
+from synthgen.models.parts import joint_basis, part_vertices
 from synthgen.models.views import View, view_of
 
 Array = NDArray[np.float64]
@@ -96,11 +96,20 @@ def _shape_row(model: BodyModel, most: int) -> Row:
     n = min(most, model.n_shape)
     every = np.arange(len(model.v_template))
 
+    apart = _is_apart(model)
+
     def moved(k: int, sign: float) -> Array:
-        return model.v_template + sign * SHAPE_SD * model.shapedirs[..., k]
+        offset = sign * SHAPE_SD * model.shapedirs[..., k]
+        return np.asarray(model.v_template + offset - (offset.mean(axis=0) if apart else 0))
 
     title = f"shape: {n} of {model.n_shape} components, ± {SHAPE_SD:g} standard deviations"
     return _row(model, title, "template", n, model.v_template, moved, every, "")
+
+
+def _is_apart(model: BodyModel) -> bool:
+    """Tell whether the mesh is away from its root: the feet of a taller body are lower."""
+    root, v = joint_basis(model)[0, 0], model.v_template
+    return bool(((root < v.min(axis=0)) | (root > v.max(axis=0))).any())
 
 
 def _expression_rows(model: BodyModel, most: int) -> list[Row]:

@@ -1,4 +1,4 @@
-"""A model's bases by vertex, for derivatives; the model's own arrays where possible."""
+"""A model's bases by vertex, for derivatives; copies of the one kind that kernels take."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class RowBases:
 
     Attributes
     ----------
-    template : (V, 3), directions : (V, 3, nb), expressions : (V, 3, ne)
+    template : (V, 3) float64
+    directions : (V, 3, nb) float32, expressions : (V, 3, ne) float32
     correctives : (V, 3, n, q LANES) float32
         Of the joints from ``first`` on, in n blocks of LANES joints, feature by feature.
     reach : (V, 2) int64
@@ -35,8 +36,8 @@ class RowBases:
     """
 
     template: Array
-    directions: Array
-    expressions: Array
+    directions: NDArray[np.float32]
+    expressions: NDArray[np.float32]
     correctives: NDArray[np.float32]
     reach: NDArray[np.int64]
     joint_ids: NDArray[np.int32]
@@ -58,17 +59,17 @@ def row_bases(model: BodyModel) -> RowBases:
     end = np.where(active.any(axis=1), active.shape[1] - active[:, ::-1].argmax(axis=1), 0)
     reach = np.stack([np.minimum(active.argmax(axis=1), end), end], axis=1)
     ids, weights = largest_weights(model.weights)
-    none = np.zeros((v, 3, 0))
+    expressions = np.zeros((v, 3, 0)) if model.exprdirs is None else model.exprdirs
     return RowBases(
-        template=np.ascontiguousarray(model.v_template),
-        directions=np.ascontiguousarray(shape_directions(model)),
-        expressions=none if model.exprdirs is None else np.ascontiguousarray(model.exprdirs),
+        template=np.array(model.v_template, order="C"),
+        directions=np.array(shape_directions(model), np.float32, order="C"),
+        expressions=np.array(expressions, np.float32, order="C"),
         correctives=blocks,
         reach=reach,
         joint_ids=ids,
         weights=weights,
         joint_basis=fold_joints(model),
-        parents=model.parents,
+        parents=np.array(model.parents, np.int64),
         first=first,
         n_features=q,
     )

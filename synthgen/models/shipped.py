@@ -58,6 +58,7 @@ def decoded(content: Content) -> Content:
             except (KeyError, ValueError):
                 raise content.fail(f"{name}_scale is missing or does not fit {key}") from None
             result.pop(f"{name}_scale", None)
+    result.pop("shipped_form", None)  # what is written out again is compact no longer
     return replace(content, arrays=result)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.geometry.normals import unit
+from synthgen.models.joints import SIDES
 from synthgen.models.model import BodyModel
 from synthgen.models.parts import joint_basis
 
@@ -35,10 +36,14 @@ def view_of(model: BodyModel, kind: str) -> View:
     ----------
     model : BodyModel
     kind : str
-        "" the whole model; "head"; "left" or "right" a hand of a body.
+        "" the whole model (which may be a part of a body); "head"; "left" or "right" a hand.
     """
-    if kind in ("left", "right") or model.hand is not None:
-        return _hand_view(model, "" if model.hand is not None else f"{kind}_")
+    if model.hand is not None:
+        return _hand_view(model, "")
+    lone = [side for side in SIDES if f"{side}_index1" in model.joint_names]
+    side = kind if kind in SIDES else lone[0] if len(lone) == 1 else ""
+    if side:
+        return _hand_view(model, f"{side}_")
     x, y, z = np.eye(3)
     if kind == "head" or "spine1" in model.joint_names:
         return _framed(z, y)

@@ -83,8 +83,15 @@ def forward(
     Arguments as ``BodyModel.evaluate``, without PCA coefficients; of rotation matrices, gradients
     (B, K, 3) are by a rotation vector multiplied from the left, at zero. ``dtype`` is the
     precision of the per-vertex work.
+
+    Raises
+    ------
+    ShapeError
+        If shapes do not fit, a number is not finite or there is no sample.
     """
     given = checked(model, shape, pose, translation, expression)
+    if not len(given.pose):
+        raise ShapeError("a batch of no samples has no gradient; pass at least one")
     packed = model.packed if dtype == np.float32 else model.packed_double
     skeleton = pose_skeleton(model, given, packed)
     rows, features, moved = basis_coefficients(packed, skeleton, given.translation)

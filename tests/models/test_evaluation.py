@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +117,22 @@ def test_properties_joint_basis_replaces_the_regressor(made: BodyModel) -> None:
     np.testing.assert_allclose(part.evaluate(*given).vertices, a[0], atol=LIMIT_M, rtol=0)
 
 
+@pytest.mark.parametrize("kind", ["smplh", "supr", "official"])
+def test_edge_read_only_and_transposed_arrays(kind: str) -> None:
+    """Arrays of a memory map, or of another layout, give the same numbers."""
+    made = model(kind)
+    given = draw(made, 2)
+    arrays = {f.name: getattr(made, f.name) for f in fields(made)}
+    odd = {n: np.asfortranarray(a) for n, a in arrays.items() if isinstance(a, np.ndarray)}
+    for array in (*odd.values(), *(a for a in given if a is not None)):
+        array.setflags(write=False)
+    other = replace(made, **odd)
+    a, b = other.evaluate(*given).vertices, made.evaluate(*given).vertices
+    np.testing.assert_allclose(a, b, atol=1e-7, rtol=0)
+    a, b = other.jacobian(*given).values, made.jacobian(*given).values
+    np.testing.assert_allclose(a, b, atol=1e-12, rtol=0)
+
+
 def test_edge_weights_that_do_not_sum_to_one() -> None:
     """Within a file's tolerance the official sum is kept, not renormalised."""
     made = model("mano")
@@ -145,6 +161,8 @@ def test_edge_more_than_four_weights_and_only_one() -> None:
         ({"pose": np.zeros((2, 156))}, "flat_hand_mean"),
         ({"pose": np.zeros((2, 51, 3))}, r"\(B, 52, 3\)"),
         ({"pose": np.full((2, 52, 3), np.inf)}, "pose holds inf"),
+        ({"pose": [[[0.0] * 3] * 52, [[0.0] * 3] * 51]}, "pose is no array of numbers"),
+        ({"shape": [["a"], ["b"]]}, "shape is no array of numbers"),
         ({"pose": np.full((2, 52, 3), 1e200)}, "overflow"),
         ({"pose": np.tile(2 * np.eye(3), (2, 52, 1, 1))}, "no rotation"),
         ({"pose": np.tile(-np.eye(3), (2, 52, 1, 1))}, "no rotation"),

@@ -135,6 +135,12 @@ def test_edge_bad_rows(rows: list[float], words: str) -> None:
         made.jacobian(np.zeros(6), np.zeros((16, 3)), rows=np.array(rows))
 
 
+def test_edge_no_samples() -> None:
+    made = model("mano", pairs=12)
+    with pytest.raises(ShapeError, match="at least one"):
+        made.jacobian(np.zeros((0, 6)), np.zeros((0, 16, 3)))
+
+
 def test_edge_no_rows() -> None:
     made = model("mano", pairs=12)
     found = made.jacobian(np.zeros(6), np.zeros((16, 3)), rows=np.zeros(0, dtype=int))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from synthgen.errors import ModelError
-from synthgen.models import BodyModel, load, openpose21, separate
+from synthgen.models import BodyModel, HandSpace, load, openpose21, separate
 from synthgen.models.parts import PARTS, influences, part_vertices
 from synthgen.sampling.streams import stream
 
@@ -87,6 +87,30 @@ def test_properties_regressor_of_the_part_alone_gives_the_same_joints(tmp_path: 
     shape, psi = rng.normal(size=cut.n_shape), rng.normal(size=5)
     own = replace(cut, joint_basis=None)
     np.testing.assert_allclose(own.shaped(shape, psi)[1], cut.shaped(shape, psi)[1], atol=1e-9)
+
+
+def test_properties_a_part_keeps_the_pose_space_of_its_own_hand(tmp_path: Path) -> None:
+    body = supr(tmp_path)
+    space = HandSpace(np.zeros(45), np.eye(45))
+    both = replace(body, hands_left=space, hands_right=space)
+    assert separate(both, "left_hand").model.hands_left is space
+    weights = np.zeros_like(body.weights)
+    weights[:, body.joint_names.index("left_index3")] = 1
+    lone = replace(both, weights=weights, posedirs=np.zeros_like(body.posedirs))
+    finger = separate(lone, np.arange(9)).model
+    assert finger.hands_left is None
+    assert finger.hands_right is None
+
+
+def test_properties_expressions_that_move_nothing_are_left_out(tmp_path: Path) -> None:
+    body = supr(tmp_path)
+    face, foot = part_vertices(body, "head"), part_vertices(body, "left_foot")
+    moved = np.zeros_like(body.exprdirs)
+    moved[face] = 0.01
+    still = replace(body, exprdirs=moved, J_regressor=np.zeros_like(body.J_regressor))
+    assert separate(still, "head").model.n_expression == 5
+    assert separate(still, foot).model.exprdirs is None
+    assert separate(replace(body, exprdirs=moved), foot).model.n_expression in (0, 5)
 
 
 @pytest.mark.parametrize("family", ["smplh", "star"])

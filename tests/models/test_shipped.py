@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from synthgen.errors import ModelError
-from synthgen.models import load, load_hand, separate
+from synthgen.models import convert, load, load_hand, separate
 from synthgen.models.shipped import shipped_extras
 
 
@@ -57,6 +57,10 @@ def test_reference_compact_bodies(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.J_regressor, content["J_regressor"], atol=1e-12)
     assert model.hands_left is not None
     assert separate(model, "left_foot").vertex_ids.tolist() == [0, 1, 2, 3, 4]
+    for suffix in (".npz", ".pkl"):  # written out in full and read back
+        again = load(convert(tmp_path / "small.npz", tmp_path / f"full{suffix}"))
+        assert again.digest == model.digest
+        np.testing.assert_array_equal(again.posedirs, model.posedirs)
     extras = shipped_extras(tmp_path / "small.npz")
     np.testing.assert_array_equal(extras["garment_template"], np.ones((4, 3)))
     assert "v_template" not in extras

@@ -52,6 +52,11 @@ def test_properties_shapes_follow_the_arguments(made: BodyModel) -> None:
     assert not any(np.any(p) for p in (found.shape, found.pose, found.translation))
 
 
+def test_edge_no_samples(made: BodyModel) -> None:
+    with pytest.raises(ShapeError, match="at least one"):
+        forward(made, *draw(made, 0))
+
+
 def test_edge_gradient_of_another_shape(made: BodyModel) -> None:
     state = forward(made, *draw(made, 2))
     with pytest.raises(ShapeError, match="on_vertices is"):

@@ -117,6 +117,8 @@ def test_reference_a_part_of_a_body(family: str, official: bool, tmp_path: Path)
     path = convert(start, tmp_path / f"part{suffix if official else '.npz'}", part="right_hand")
     found, cut = load(path), separate(load(start), "right_hand")
     assert found.joint_names == cut.model.joint_names
+    assert (found.hands_left is None) == (cut.model.hands_left is None)
+    assert (found.hands_right is None) == (family != "smplh")
     pose = np.full((1, found.n_pose), 0.1)
     pose = pose if found.axis_meta is not None else pose.reshape(1, -1, 3)
     a, ja = found.evaluate_reference(np.ones((1, 3)), pose)
