@@ -209,7 +209,7 @@ def test_properties_fuzz(parts: list[bytes]) -> None:
 
 
 @pytest.mark.prove
-@settings(max_examples=20_000, deadline=None)
+@settings(max_examples=5_000, deadline=None)
 @given(OPCODES)
 def test_prove_fuzz_of_opcodes(parts: list[bytes]) -> None:
     fuzz(parts)
