@@ -20,7 +20,29 @@ Hand = Literal["left", "right"]
 class Skin:
     """Look of one person's skin; colours are linear sRGB reflectance in 0..1.
 
-    ``mottle`` is the relative standard deviation of the albedo's solid noise, ``seed`` its key.
+    Attributes
+    ----------
+    dorsal_rgb, palm_rgb, nail_rgb : Vec3
+        Mean albedo of the zones.
+    roughness : float
+        Of the principled material, on the back of the hand.
+    mottle : float
+        Relative standard deviation of the albedo's solid noise.
+    seed : int
+        Key of everything random within the skin.
+    melanin, blood : float
+        Volume fractions in epidermis and dermis, back of the hand.
+    eumelanin, carotene : float
+        Share of eumelanin in the melanin; strength of the carotene bands.
+    freckles : float
+        Share of freckle sites that are taken, 0..1.
+    veins, creases : float
+        Gains of the veins' and creases' colour and relief; 0 removes them.
+    sweat : float
+        0 dry, 1 moist: gloss.
+    relief_m : float
+        Largest distance of the drawn surface from the model's smooth surface (tendons, knuckles,
+        wrist bones, veins), metres; 0 draws the model's surface itself.
     """
 
     dorsal_rgb: Vec3
@@ -29,6 +51,15 @@ class Skin:
     roughness: float
     mottle: float
     seed: int
+    melanin: float = 0.03
+    blood: float = 0.019
+    eumelanin: float = 0.8
+    carotene: float = 1.4
+    freckles: float = 0.0
+    veins: float = 0.6
+    creases: float = 1.0
+    sweat: float = 0.1
+    relief_m: float = 0.0
 
 
 @dataclass(frozen=True)
