@@ -105,10 +105,13 @@ class Renderer:
         scene = spec.scene
         models = tuple(load(s.model, hand=s.hand) for s in scene.subjects)
         first = scene.cameras[0]
+        quality = spec.render.quality
         key = (tuple((m.digest, m.hand) for m in models), len(scene.lights.area), first.width,
-               first.height)  # fmt: skip
+               first.height, quality)  # fmt: skip
         if key not in self._scenes:
-            self._scenes[key] = LiveScene(models, len(scene.lights.area), first.width, first.height)
+            self._scenes[key] = LiveScene(
+                models, len(scene.lights.area), first.width, first.height, quality
+            )
         live = self._scenes[key]
         results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
         live.update(scene, [surface for surface, _ in results])

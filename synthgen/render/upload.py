@@ -12,7 +12,8 @@ from synthgen.errors import RenderError
 from synthgen.geometry.cameras import Camera
 from synthgen.geometry.transforms import look_at
 from synthgen.models import ManoModel
-from synthgen.render import backend, background, skin
+from synthgen.render import backend, background
+from synthgen.render.skin import material
 from synthgen.scene import AreaLight, HandSubject, Scene
 from synthgen.scene.surface import DrawnSurface
 
@@ -45,10 +46,20 @@ class LiveScene:
         Number of area lights.
     width, height : int
         Pixels.
+    quality : {"plain", "full"}
+        Of the skin's material.
     """
 
-    def __init__(self, models: tuple[ManoModel, ...], n_lamps: int, width: int, height: int):
+    def __init__(
+        self,
+        models: tuple[ManoModel, ...],
+        n_lamps: int,
+        width: int,
+        height: int,
+        quality: str = "plain",
+    ):
         self.models = models
+        self.quality = quality
         self.drawn = tuple(DrawnSurface.for_model(model) for model in models)
         self.n_lamps = n_lamps
         self._mi: Any = backend.mitsuba()
@@ -94,8 +105,9 @@ class LiveScene:
         }
         for k, drawn in enumerate(self.drawn):
             description[f"hand{k}"] = self._mesh(
-                f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv, _skin_material(mi), True
-            )
+                f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv,
+                material.describe(mi, self.quality), True,
+            )  # fmt: skip
         wall_uv = np.zeros((4 * background.QUADS, 2), dtype=np.float32)
         description["wall"] = self._mesh(
             "wall", len(wall_uv), background.wall_triangles(), wall_uv, _wall_material(mi), False
@@ -153,9 +165,8 @@ class LiveScene:
         self._params[f"{name}.vertex_normals"] = normals.ravel()
         if self._skins[k] != subject.skin:
             self._skins[k] = subject.skin
-            albedo = skin.bake(model, subject.skin)
-            self._params[f"{name}.bsdf.base_color.data"] = self._mi.TensorXf(albedo)
-            self._params[f"{name}.bsdf.roughness.value"] = self._number(subject.skin.roughness)
+            self._fill(f"{name}.bsdf", material.of_skin(model, subject.skin, self.quality))
+        self._fill(f"{name}.bsdf", material.of_pose(model, subject, self.quality))
         self.solids.append(
             Solid(vertices.astype(float), drawn.triangles.astype(np.int64), normals.astype(float))
         )
@@ -181,6 +192,13 @@ class LiveScene:
         matrix = frame @ np.diag([lamp.size_m / 2] * 2 + [1.0, 1.0])
         self._params[f"lamp{k}.to_world"] = self._transform(matrix)
         self._params[f"lamp{k}.emitter.radiance.value"] = self._colour(lamp.radiance_rgb)
+
+    def _fill(self, prefix: str, values: material.Values) -> None:
+        for key, value in values.items():
+            number = isinstance(value, float)
+            self._params[f"{prefix}.{key}"] = (
+                self._number(value) if number else self._mi.TensorXf(value)
+            )
 
     def _number(self, value: float) -> Any:
         """Pass a number as data: a literal would be compiled into the kernels."""
@@ -217,16 +235,6 @@ def _flip_v(uv: NDArray[np.float32]) -> NDArray[np.float32]:
     flipped = uv.copy()
     flipped[:, 1] = 1 - flipped[:, 1]
     return flipped.ravel()
-
-
-def _skin_material(mi: Any) -> dict[str, Any]:
-    texture = np.full((skin.TEXTURE_PX, skin.TEXTURE_PX, 3), 0.4, dtype=np.float32)
-    return {
-        "type": "principled",
-        "base_color": _bitmap(mi, texture, "clamp"),
-        "roughness": {"type": "uniform", "value": 0.5},
-        "specular": 0.45,
-    }
 
 
 def _wall_material(mi: Any) -> dict[str, Any]:
