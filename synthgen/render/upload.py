@@ -15,6 +15,7 @@ from synthgen.models import ManoModel
 from synthgen.render import backend, background
 from synthgen.render.skin import material
 from synthgen.scene import AreaLight, HandSubject, Scene
+from synthgen.scene.relief import relief_of
 from synthgen.scene.surface import DrawnSurface
 
 Array = NDArray[np.float64]
@@ -160,7 +161,8 @@ class LiveScene:
 
     def _put_hand(self, k: int, subject: HandSubject, surface: NDArray[np.float32]) -> None:
         drawn, model, name = self.drawn[k], self.models[k], f"hand{k}"
-        vertices, normals = drawn.draw(surface)
+        relief = relief_of(model, subject.skin, np.array(subject.pose))
+        vertices, normals = drawn.draw(surface, relief)
         self._params[f"{name}.vertex_positions"] = vertices.ravel()
         self._params[f"{name}.vertex_normals"] = normals.ravel()
         if self._skins[k] != subject.skin:
