@@ -79,7 +79,7 @@ class ThingSettings(Section):
 
 
 class WearSettings(Section):
-    """What is worn; shares of subjects."""
+    """What is worn; shares of samples."""
 
     sleeve: Share = 0.0
     """In full 0.4."""
