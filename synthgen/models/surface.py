@@ -151,9 +151,7 @@ class ArmBones:
         return np.asarray(np.einsum("aij,aj->ai", blended[..., :3], turned) + blended[..., 3])
 
 
-def arm_bones(
-    model: ManoModel, betas: Array, posed: Posed, wrist: Array, elbow: Array
-) -> ArmBones:
+def arm_bones(model: ManoModel, betas: Array, posed: Posed, wrist: Array, elbow: Array) -> ArmBones:
     """Pose the arm's bones behind a posed hand (batch of one); arguments as :func:`pose_surface`.
 
     The wrist's turn is taken apart into a twist about the forearm, which the elbow takes whole,
