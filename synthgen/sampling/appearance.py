@@ -86,9 +86,9 @@ def pigments_of(
         Of the back of the hand.
     """
     if zone == "palm":
-        return max(0.20 * melanin, min(melanin, 0.012)), 1.5 * blood, eumelanin, carotene + 2.0
+        return max(0.20 * melanin, min(melanin, 0.012)), 1.8 * blood, eumelanin, carotene + 2.0
     if zone == "nail":
-        return max(0.35 * melanin, min(melanin, 0.006)), 1.7 * blood, eumelanin, carotene
+        return max(0.55 * melanin, min(melanin, 0.008)), 1.35 * blood, eumelanin, carotene
     return melanin, blood, eumelanin, carotene
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.models import ManoModel
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 _TIP_ORDER = ("thumb", "index", "middle", "ring", "pinky")
+_CALM_STEPS = 24
 _THUMB_BACK = np.array([0.25, 0.75, 0.6])
 
 
@@ -65,7 +67,7 @@ class Anatomy:
     Attributes
     ----------
     points, normals : (n, 3)
-        Metres; unit.
+        Metres; unit, averaged over some millimetres.
     weights : (n, 17)
         Of the 16 joints, then the arm.
     palm, nail : (n,)
@@ -97,7 +99,7 @@ def anatomy_of(model: ManoModel) -> Anatomy:
     joints = model.J_regressor @ model.v_template
     points = (drawn.refine(rest) - joints[0]) * sign
     faces = drawn.refined_faces if model.hand == "right" else drawn.refined_faces[:, ::-1]
-    normals = vertex_normals(points, faces)
+    normals = _calm(vertex_normals(points, faces), faces)
     palm, nail = masks_of(model)
     spread = drawn.spread(np.column_stack([_weights(model), palm, nail]))
     weights, palm, nail = spread[:, :17], spread[:, 17], spread[:, 18]
@@ -108,6 +110,18 @@ def anatomy_of(model: ManoModel) -> Anatomy:
         for f, name in enumerate(FINGERS)
     )
     return Anatomy(points, normals, weights, palm, nail, local, fingers)
+
+
+def _calm(normals: Array, faces: NDArray[np.int64]) -> Array:
+    """Average normals over some millimetres: which way a side faces, not how it undulates."""
+    n = len(normals)
+    a, b = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    ring = sparse.coo_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), (n, n)).tocsr()
+    count = np.asarray(ring.sum(axis=1)).ravel()
+    mean = sparse.diags(1 / np.maximum(count, 1)) @ ring
+    for _ in range(_CALM_STEPS):
+        normals = unit(0.5 * normals + 0.5 * (mean @ normals))
+    return normals
 
 
 def _weights(model: ManoModel) -> Array:

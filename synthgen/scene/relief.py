@@ -152,7 +152,7 @@ def _wrist(a: Anatomy) -> Array:
     """Head of the ulna and styloid of the radius; a hollow on the thumb's side before it."""
     height = np.zeros(len(a.points))
     for place, direction, radius, gain in (
-        ((0.020, 0.0, 0.0), (0.0, 0.75, -0.66), 0.0085, 2.2),
+        ((0.020, 0.0, 0.0), (0.0, 0.75, -0.66), 0.0095, 1.8),
         ((0.012, 0.0, 0.0), (0.0, 0.25, 0.97), 0.0090, 0.8),
         ((-0.012, 0.0, 0.0), (0.0, 0.55, 0.83), 0.0075, -0.8),
     ):

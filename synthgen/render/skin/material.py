@@ -9,12 +9,26 @@ from numpy.typing import NDArray
 
 from synthgen.models import ManoModel
 from synthgen.render.skin import plain
+from synthgen.render.skin.albedo import albedo
+from synthgen.render.skin.bake import bake
+from synthgen.render.skin.surface import gloss, height_m
 from synthgen.scene import HandSubject, Skin
+from synthgen.scene.anatomy import flexion_rad
 
 Values = dict[str, NDArray[np.float32] | float]
 
+# Pictures up to this size hold no more detail than the smaller atlas.
+_SMALL_PX, _SMALL, _LARGE = 320, 1024, 2048
 
-def describe(mi: Any, quality: str) -> dict[str, Any]:
+
+def atlas_size(quality: str, picture_px: int) -> int:
+    """Return the edge of the skin's textures, texels, for a picture's longer side."""
+    if quality == "plain":
+        return plain.TEXTURE_PX
+    return _SMALL if picture_px <= _SMALL_PX else _LARGE
+
+
+def describe(mi: Any, quality: str, size: int) -> dict[str, Any]:
     """Return the material's description with empty textures, filled later by name.
 
     Parameters
@@ -22,23 +36,46 @@ def describe(mi: Any, quality: str) -> dict[str, Any]:
     mi : module
         Mitsuba with an active variant.
     quality : {"plain", "full"}
+    size : int
+        Edge of the textures, texels: :func:`atlas_size`.
     """
-    return {
+    if quality == "plain":
+        return {
+            "type": "principled",
+            "base_color": _bitmap(mi, size, 3),
+            "roughness": {"type": "uniform", "value": 0.5},
+            "specular": 0.45,
+        }
+    skin = {
         "type": "principled",
-        "base_color": _bitmap(mi, plain.TEXTURE_PX, 3),
-        "roughness": {"type": "uniform", "value": 0.5},
-        "specular": 0.45,
+        "base_color": _bitmap(mi, size, 3),
+        "roughness": _bitmap(mi, size, 1),
+        "specular": 0.38,
+        "clearcoat": _bitmap(mi, size, 1),
+        "clearcoat_gloss": 0.75,
+    }
+    return {"type": "bumpmap", "bump": _bitmap(mi, size, 1), "scale": 1.0, "bsdf": skin}
+
+
+def of_skin(model: ManoModel, skin: Skin, quality: str, size: int) -> Values:
+    """Return what changes with the person: parameter below ``bsdf`` -> texture or number."""
+    if quality == "plain":
+        return {"base_color.data": plain.bake(model, skin), "roughness.value": skin.roughness}
+    maps = bake(model, size)
+    rough, coat = gloss(maps, skin)
+    return {
+        "nested_bsdf.base_color.data": albedo(maps, skin),
+        "nested_bsdf.roughness.data": rough,
+        "nested_bsdf.clearcoat.data": coat,
     }
 
 
-def of_skin(model: ManoModel, skin: Skin, quality: str) -> Values:
-    """Return what changes with the person: parameter below ``bsdf`` -> texture or number."""
-    return {"base_color.data": plain.bake(model, skin), "roughness.value": skin.roughness}
-
-
-def of_pose(model: ManoModel, subject: HandSubject, quality: str) -> Values:
+def of_pose(model: ManoModel, subject: HandSubject, quality: str, size: int) -> Values:
     """Return what changes with the pose: the height map, metres; nothing in quality plain."""
-    return {}
+    if quality == "plain":
+        return {}
+    bent = flexion_rad(model, np.array(subject.pose))
+    return {"nested_texture.data": height_m(bake(model, size), subject.skin, bent)}
 
 
 def _bitmap(mi: Any, size: int, channels: int) -> dict[str, Any]:

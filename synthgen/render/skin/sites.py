@@ -73,12 +73,6 @@ def atlas_sites(model: ManoModel, size: int) -> tuple[Sites, NDArray[np.int32]]:
     return sites, _fill(covered)
 
 
-def vertex_sites(anatomy: Anatomy) -> Sites:
-    """The refined vertices themselves as places."""
-    p, n, w = (v.astype(np.float32) for v in (anatomy.points, anatomy.normals, anatomy.weights))
-    return Sites(p, n, w, 0.0012)
-
-
 def _blend(values: NDArray[np.float64], corners: NDArray[np.int64], inside: Values) -> Values:
     narrow = values.astype(np.float32)
     total = inside[:, :1] * narrow[corners[:, 0]]
