@@ -19,7 +19,8 @@ from synthgen.config.places import (
     WearSettings,
 )
 from synthgen.config.quality import in_quality
-from synthgen.config.sections import FillRange, FovRange, Section, UnitRange
+from synthgen.config.sections import FillRange, FovRange, Section
+from synthgen.config.skin import SkinSettings
 
 Column = Literal["image", "depth", "labels", "meta", "exr"]
 COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr")
@@ -92,13 +93,6 @@ class CameraSettings(Section):
 
     offset: float = Field(default=0.06, ge=0.0, le=0.5)
     """Largest offset of the hand's centre from the image centre, as a share of the frame."""
-
-
-class SkinSettings(Section):
-    """Look of the skin."""
-
-    tones: UnitRange = (0.0, 1.0)
-    """Range of skin tones, 0 the lightest to 1 the darkest; uniform in it, [lowest, highest]."""
 
 
 class RenderSettings(Section):

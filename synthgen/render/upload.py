@@ -66,7 +66,7 @@ class Structure:
             n_lamps=len(lit.area),
             surround="sky" if lit.sky is not None else "none" if dark else "constant",
             furnished=quality == "full" or dressed or bool(scene.things),
-            quality=quality,
+            quality="full" if any(s.skin.detail for s in scene.subjects) else "plain",
             picture_px=max(first.width, first.height),
         )
 

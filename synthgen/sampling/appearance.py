@@ -7,19 +7,27 @@ person's blood, carotene and kind of melanin; palms and nail beds keep little me
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.config.skin import SkinSettings
 from synthgen.sampling.colour import linear_rgb_from_lab, typology_angle
 from synthgen.sampling.spectrum import skin_lab, skin_rgb
 from synthgen.scene import Skin
 from synthgen.scene.description import Vec3
 
-__all__ = ["linear_rgb_from_lab", "pigments_of", "rounded", "sample_skin"]
+__all__ = ["linear_rgb_from_lab", "pigments_of", "rounded", "sample_skin", "switched"]
 
 # ITA of tone 0 and tone 1: the human range from very light to very dark.
 ITA_DEG = (60.0, -66.0)
 MELANIN = (0.002, 0.45)
+# Nail varnish, linear reflectance: reds, pinks, plum, nude, dark blue, black.
+_VARNISH: tuple[Vec3, ...] = (
+    (0.42, 0.012, 0.02), (0.20, 0.01, 0.025), (0.62, 0.16, 0.22), (0.66, 0.36, 0.33),
+    (0.10, 0.012, 0.06), (0.55, 0.36, 0.28), (0.02, 0.03, 0.12), (0.012, 0.012, 0.014),
+)  # fmt: skip
 _EUMELANIN = ((-50.0, 0.95), (20.0, 0.85), (60.0, 0.55))
 
 
@@ -62,6 +70,30 @@ def sample_skin(tones: tuple[float, float], *, rng: np.random.Generator) -> tupl
     return skin, tone
 
 
+def switched(skin: Skin, settings: SkinSettings, *, rng: np.random.Generator) -> Skin:
+    """Apply a configuration's switches to a drawn skin; what was drawn stays drawn.
+
+    Parameters
+    ----------
+    skin : Skin
+    settings : SkinSettings
+    rng : numpy.random.Generator
+        Of the varnish alone.
+    """
+    share, colour = rng.random(), _VARNISH[rng.integers(len(_VARNISH))]
+    return replace(
+        skin,
+        creases=round(skin.creases * settings.creases, 6),
+        veins=round(skin.veins * settings.veins, 6),
+        mottle=round(skin.mottle * settings.mottle, 6),
+        freckles=round(min(skin.freckles * settings.freckles, 1.0), 6),
+        sweat=round(min(skin.sweat * settings.sweat, 1.0), 6),
+        relief_m=settings.relief_m,
+        detail=settings.detail,
+        varnish_rgb=colour if share < settings.varnish else None,
+    )
+
+
 def melanin_for(angle_deg: float, blood: float, eumelanin: float, carotene: float) -> float:
     """Return the melanin fraction whose skin has a typology angle (degrees), by bisection."""
     low, high = np.log(MELANIN)
@@ -88,7 +120,7 @@ def pigments_of(
     if zone == "palm":
         return max(0.20 * melanin, min(melanin, 0.012)), 1.8 * blood, eumelanin, carotene + 2.0
     if zone == "nail":
-        return max(0.55 * melanin, min(melanin, 0.008)), 1.35 * blood, eumelanin, carotene
+        return max(0.7 * melanin, min(melanin, 0.008)), 1.35 * blood, eumelanin, carotene
     return melanin, blood, eumelanin, carotene
 
 

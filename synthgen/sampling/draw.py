@@ -14,7 +14,7 @@ from synthgen.geometry.cameras import Camera
 from synthgen.geometry.rotations import axis_angle_from_matrix
 from synthgen.models import ManoModel, load, pose_surface
 from synthgen.sampling import orientation, placement
-from synthgen.sampling.appearance import sample_skin
+from synthgen.sampling.appearance import sample_skin, switched
 from synthgen.sampling.clothing import sample_wear
 from synthgen.sampling.hand_pose import prior_of, sample_hand_pose
 from synthgen.sampling.limits import limits_of
@@ -112,7 +112,8 @@ def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
     skin, tone = sample_skin(
         config.skin.tones, rng=stream(config.seed, "subject", subject_id, 0, "skin")
     )
-    return _Person(subject_id, shape, skin, tone)
+    varnish = stream(config.seed, "subject", subject_id, 0, "varnish")
+    return _Person(subject_id, shape, switched(skin, config.skin, rng=varnish), tone)
 
 
 def _pose(

@@ -43,6 +43,10 @@ class Skin:
     relief_m : float
         Largest distance of the drawn surface from the model's smooth surface (tendons, knuckles,
         wrist bones, veins), metres; 0 draws the model's surface itself.
+    detail : bool
+        Drawn from baked maps under a bump map, or smooth in three colours.
+    varnish_rgb : Vec3 or None
+        Paint on the nails.
     """
 
     dorsal_rgb: Vec3
@@ -60,6 +64,8 @@ class Skin:
     creases: float = 1.0
     sweat: float = 0.1
     relief_m: float = 0.0
+    detail: bool = False
+    varnish_rgb: Vec3 | None = None
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def _add_freckles(melanin: Values, maps: SkinMaps, skin: Skin) -> None:
     taken = rng.random(FRECKLE_SITES) < skin.freckles
     radius = np.where(taken, rng.uniform(0.25, 1.0, FRECKLE_SITES), -9.0)
     strength = rng.uniform(0.15, 0.6, FRECKLE_SITES)
-    moles = rng.permutation(FRECKLE_SITES)[: rng.integers(0, 3)]
+    moles = rng.permutation(FRECKLE_SITES)[: rng.integers(0, 3) * (skin.freckles > 0)]
     radius[moles], strength[moles] = rng.uniform(0.6, 1.1, len(moles)), 1.3
     near = np.flatnonzero((maps.freckle_mm < 1.6) & (radius[maps.freckle] > 0))
     site = maps.freckle[near]
@@ -120,6 +120,11 @@ def _paint_nails(colour: Values, maps: SkinMaps, skin: Skin, dark: float) -> Non
     band = np.exp(-(((u - edge + 0.06) / 0.06) ** 2))
     nail *= 1 - 0.12 * band[:, None] * np.array([0.3, 1.0, 1.0], np.float32)
     free = np.array([0.66, 0.61, 0.54], np.float32) * (1 - 0.25 * dark)
+    if skin.varnish_rgb is not None:
+        paint = np.tile(np.array(skin.varnish_rgb, np.float32), (len(own), 1))
+        bare = np.clip((u + 0.93) / 0.04 + 0.5, 0, 1) * np.clip((0.95 - np.abs(w)) / 0.04, 0, 1)
+        colour[own] = _mix(colour[own], _mix(nail, paint, bare), maps.plate[own])
+        return
     nail = _mix(nail, free, 0.72 * np.clip((u - edge) / 0.05 + 0.5, 0, 1))
     colour[own] = _mix(colour[own], nail, maps.plate[own])
 

@@ -22,9 +22,10 @@ def gloss(maps: SkinMaps, skin: Skin) -> tuple[Values, Values]:
     wet = np.clip(0.45 + 0.25 * maps.big, 0, 1) * (0.35 + 0.65 * maps.palm)
     coat = 0.6 * sweat * wet
     free = np.clip((maps.nail_along - 0.85) / 0.05, 0, 1)
-    nail = 0.30 + 0.10 * free
+    painted = skin.varnish_rgb is not None
+    nail = 0.18 if painted else 0.30 + 0.10 * free
     rough += maps.plate * (nail - rough)
-    coat += maps.plate * (0.28 - coat)
+    coat += maps.plate * ((0.8 if painted else 0.28) - coat)
     pair = (np.clip(rough, 0.15, 0.95), np.clip(coat, 0, 1))
     a, b = (np.asarray(v, np.float32)[maps.fill][..., None] for v in pair)
     return a, b
