@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from synthgen.render.skin.bake import SkinMaps
 from synthgen.render.skin.fields import FRECKLE_SITES
@@ -99,9 +98,16 @@ def _table(skin: Skin, more_carotene: float) -> Values:
     blood = np.exp(np.linspace(*_BLOOD, _COARSE[1]))[None]
     carotene = skin.carotene + more_carotene
     coarse = skin_xyz(melanin, blood, skin.eumelanin, carotene, bands(16))
-    zoom = [f / c for f, c in zip(_FINE, _COARSE, strict=True)]
-    fine = ndimage.zoom(linear_rgb_from_xyz(coarse), (*zoom, 1), order=1, grid_mode=False)
+    across = _stretch(_FINE[0], _COARSE[0]) @ linear_rgb_from_xyz(coarse).transpose(2, 0, 1)
+    fine = (across @ _stretch(_FINE[1], _COARSE[1]).T).transpose(1, 2, 0)
     return np.asarray(fine, dtype=np.float32).reshape(-1, 3)
+
+
+def _stretch(fine: int, coarse: int) -> NDArray[np.float64]:
+    """Matrix (fine, coarse) of linear interpolation, ends on ends."""
+    columns = np.arange(coarse)
+    places = np.linspace(0, coarse - 1, fine)[:, None]
+    return np.asarray(np.clip(1 - np.abs(places - columns), 0, 1))
 
 
 def _paint_nails(colour: Values, maps: SkinMaps, skin: Skin, dark: float) -> None:
