@@ -72,7 +72,8 @@ class ThingSettings(Section):
     """Share of rooms and outdoor places that are furnished. In full 1."""
 
     support: Share = 0.0
-    """Share of samples whose hand or arm rests on a table, where the camera allows it. In full 0.45."""
+    """Share of samples whose hand or arm rests on a table, where the camera allows it. In full
+    0.45."""
 
     occluder: Share = 0.0
     """Share of samples with an object between camera and hand. In full 0.2."""

@@ -77,7 +77,7 @@ def _wall(background: Background, camera: Camera, half_x: float, half_y: float) 
 
 
 def _photo(background: Background, camera: Camera) -> Array:
-    """A wall that a picture fills: it covers the frame with a margin to shift it by ``crop``."""
+    """Cover the frame with a picture, with a margin to shift it by ``crop``."""
     away = np.array(background.centre_m) - camera.position
     z = float(away @ camera.T[:3, 2]) + background.distance_m
     half = 0.75 * np.array([camera.width / camera.fx, camera.height / camera.fy]) * z

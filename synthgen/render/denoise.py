@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,12 @@ def denoise(linear: Image, guides: Guides) -> Image:
         If the extra is missing; the plan asked for it, so nothing else may take its place.
     """
     try:
-        import mitsuba_oidn
+        module: Any = import_module("mitsuba_oidn")
     except ImportError as error:
         raise BackendError(
             f"the plan asks for the denoiser oidn, which is not installed ({error}); run `pip "
             "install 'synthgen[denoise]'`, or set render.denoise=none and a higher render.spp"
         ) from None
-    module: Any = mitsuba_oidn
     done = module.denoise(
         np.ascontiguousarray(linear), albedo=guides.albedo, normal=guides.normal, hdr=True
     )

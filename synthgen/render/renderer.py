@@ -132,7 +132,8 @@ class Renderer:
         guides = mean_guides(parts) if parts else None
         if guides is not None and settings.denoise == "oidn":
             linear = denoise(linear, guides)
-        if guides is not None and settings.diffusion:
+        sharp = steps == 1 and not any(o.aperture_m > 0 for o in scene.optics)
+        if guides is not None and settings.diffusion and sharp:  # blur hides it and mixes albedos
             linear = diffuse(linear, guides.albedo, view.labels, view.camera)
         return linear, guides
 

@@ -60,7 +60,7 @@ def balance_of(linear: Image, albedo: Image | None, sensor: Sensor) -> Array:
 
 
 def develop(
-    linear: NDArray[Any], sensor: Sensor = Sensor(), albedo: Image | None = None, view: int = 0
+    linear: NDArray[Any], sensor: Sensor, albedo: Image | None = None, view: int = 0
 ) -> tuple[NDArray[np.uint8], float]:
     """Expose and encode.
 

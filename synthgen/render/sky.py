@@ -25,7 +25,7 @@ _LIMB = 0.83
 
 
 def directions() -> tuple[Array, Array]:
-    """Unit world directions (H, W, 3) of the map's texels, and their solid angles (H, W), sr."""
+    """Return unit world directions (H, W, 3) of the map's texels and solid angles (H, W), sr."""
     theta = (np.arange(HEIGHT_PX) + 0.5) / HEIGHT_PX * np.pi
     phi = (np.arange(WIDTH_PX) + 0.5) / WIDTH_PX * 2 * np.pi
     t, p = np.meshgrid(theta, phi, indexing="ij")

@@ -45,7 +45,7 @@ def _sleeve(rng: np.random.Generator) -> Sleeve:
         fold_m=round(float(rng.uniform(0.001, 0.0028)), 6),
         colour_rgb=_cloth(rng),
         accent_rgb=_cloth(rng),
-        pattern=("plain", "plain", "stripes", "checks")[int(rng.integers(4))],  # type: ignore[arg-type]
+        pattern=("plain", "plain", "stripes", "checks")[int(rng.integers(4))],
         seed=int(rng.integers(2**31)),
     )
 

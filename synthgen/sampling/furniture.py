@@ -24,12 +24,18 @@ def furniture(
     """Draw what fills a room or open ground, mostly where the first camera looks."""
     room = background.kind == "room"
     placed: list[Thing] = []
-    for number in range(int(rng.integers(9, 16))):
+    for number in range(int(rng.integers(12, 20))):
         spot = _look(stage, rng, wide=number % 3 == 2)
-        for thing in _indoors(background, spot, rng) if room else _outdoors(spot, rng):
-            if stage.clear(thing):
-                placed.append(thing)
+        group = _indoors(background, spot, rng) if room else _outdoors(spot, rng)
+        apart = not any(_overlap(thing, other) for thing in group[:1] for other in placed)
+        placed += [thing for thing in group if apart and stage.clear(thing)]
     return tuple(placed)
+
+
+def _overlap(one: Thing, other: Thing) -> bool:
+    """Tell whether the boxes around two things, as if neither were turned, meet."""
+    gap = np.abs(np.array(one.position_m) - np.array(other.position_m))
+    return bool(np.all(gap < (np.array(one.size_m) + np.array(other.size_m)) / 2))
 
 
 def _look(stage: Stage, rng: np.random.Generator, *, wide: bool) -> tuple[Array, Array]:
@@ -47,7 +53,7 @@ def _look(stage: Stage, rng: np.random.Generator, *, wide: bool) -> tuple[Array,
 
 
 def _indoors(room: Background, ray: tuple[Array, Array], rng: np.random.Generator) -> list[Thing]:
-    """A group of things where a ray meets the room: against a wall, or on the floor."""
+    """Draw a group of things where a ray meets the room: against a wall, or on the floor."""
     low, high = room_box(room)
     origin, direction = ray
     with np.errstate(divide="ignore"):
@@ -86,7 +92,7 @@ def _picture(spot: Array, axis: int, inward: float, rng: np.random.Generator) ->
 
 
 def _shelf(spot: Array, axis: int, inward: float, rng: np.random.Generator) -> list[Thing]:
-    """A board on the wall with books, bottles and bowls on it."""
+    """Draw a board on the wall with books, bottles and bowls on it."""
     width, depth = float(rng.uniform(0.5, 1.2)), 0.2
     place = _against(spot, axis, inward, depth)
     board = make_thing(
@@ -109,7 +115,7 @@ def _shelf(spot: Array, axis: int, inward: float, rng: np.random.Generator) -> l
 
 
 def _cupboard(spot: Array, axis: int, inward: float, rng: np.random.Generator) -> list[Thing]:
-    """A chest or cupboard on the floor, doors and a few things on top."""
+    """Draw a chest or cupboard on the floor, doors and a few things on top."""
     width, depth = float(rng.uniform(0.5, 1.3)), float(rng.uniform(0.3, 0.5))
     height = float(rng.uniform(0.6, 1.9))
     place = _against(np.array([spot[0], height / 2, spot[2]]), axis, inward, depth)
@@ -134,7 +140,7 @@ def _cupboard(spot: Array, axis: int, inward: float, rng: np.random.Generator) -
 
 
 def _on_floor(spot: Array, rng: np.random.Generator) -> list[Thing]:
-    """A box, a stool, a pot or a rug."""
+    """Draw a box, a stool, a pot or a rug."""
     kind = int(rng.integers(4))
     a, b = rng.uniform(0.25, 0.6, 2)
     turn = float(rng.uniform(0, np.pi))

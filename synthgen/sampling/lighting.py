@@ -91,7 +91,7 @@ def _near_ceiling(subject: Array, irradiance: float, *, rng: np.random.Generator
 def _room_lamps(
     subject: Array, camera: Array, room: Background, rng: np.random.Generator
 ) -> tuple[AreaLight, ...]:
-    """A ceiling lamp and a window; which of them leads is drawn."""
+    """Draw a ceiling lamp and a window, and which of them leads."""
     low, high = room_box(room)
     share = rng.uniform(0.15, 0.9)
     total = rng.uniform(2.2, 3.6)

@@ -38,9 +38,9 @@ def sample_optics(
 ) -> tuple[Optics, ...]:
     """Draw the aperture: shallow depth of field in a share of samples, focus on the hand.
 
-    The blur of a point at twice the hand's distance is 1 to 5 % of the frame's width.
+    The blur of a point at twice the hand's distance is 0.8 to 3 % of the frame's width.
     """
-    shallow, blur = rng.random() < settings.defocus, rng.uniform(0.01, 0.05)
+    shallow, blur = rng.random() < settings.defocus, rng.uniform(0.008, 0.03)
     if settings.defocus == 0:
         return ()
     done = []

@@ -100,7 +100,7 @@ def occluder(stage: Stage, *, rng: np.random.Generator) -> tuple[Thing, ...]:
         near = to_camera(camera, points)[:, 2]
         if near.max() < z.min() - 0.004 and near.min() > 0.06:
             clear = stage.clear(thing, in_view=True)
-            if clear and tree.query(points)[0].min() > CLEARANCE_M:
+            if clear and np.min(tree.query(points)[0]) > CLEARANCE_M:
                 return (thing,)
     return ()
 

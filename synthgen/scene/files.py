@@ -110,7 +110,8 @@ def _exr_size(path: Path) -> tuple[int, int]:
         raise FileError(f"{path} is no readable OpenEXR file: {error}") from None
     if not {"R", "G", "B"} <= names:
         raise FileError(
-            f"{path} has the channels {', '.join(sorted(names)) or 'none'}; a panorama needs R, G, B"
+            f"{path} has the channels {', '.join(sorted(names)) or 'none'}; "
+            "a panorama needs R, G, B"
         )
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
 

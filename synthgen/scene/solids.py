@@ -165,7 +165,7 @@ def _spin(profile: Array, around: Array) -> Array:
 
 
 def _profile_normals(profile: Array) -> Array:
-    """Normals of a profile; at a repeated point each copy takes the side that it ends."""
+    """Return a profile's normals; at a repeated point each copy takes the side that it ends."""
     step = np.diff(profile, axis=0)
     across = np.stack([step[:, 1], -step[:, 0]], axis=1)
     length = np.linalg.norm(across, axis=1, keepdims=True)

@@ -208,7 +208,7 @@ def _squarish(x: Array) -> Array:
 
 
 def _case(place: Array, up: Array, band: Band) -> SolidMesh:
-    """The case of a watch on the back of the wrist; a speck inside the band of others."""
+    """Make a watch's case on the back of the wrist; a speck inside the band of others."""
     size = (0.038, 0.0095, 0.038) if band.kind == "watch" else (1e-4, 1e-4, 1e-4)
     depth = band.thickness_m + size[1] / 2 - 0.002
     tilt = np.cross([0.0, 1.0, 0.0], up)
@@ -224,7 +224,7 @@ def _vec(v: Array) -> tuple[float, float, float]:
 
 
 def _grid_normals(grid: Array, closed: tuple[bool, bool]) -> Array:
-    """Unit normals of a grid (n, m, 3) whose closed directions repeat their first line."""
+    """Return unit normals of a grid (n, m, 3) whose closed directions repeat their first line."""
     down, across = (_slope(grid, axis, closed[axis]) for axis in (0, 1))
     return unit(np.cross(across, down))
 
