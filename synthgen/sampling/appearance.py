@@ -53,8 +53,11 @@ def sample_skin(tones: tuple[float, float], *, rng: np.random.Generator) -> tupl
     eu = float(np.clip(np.interp(angle, share, eumelanin) + rng.normal(0.0, 0.02), 0.4, 1.0))
     melanin = melanin_for(angle, blood, eu, carotene)
     freckled = max(angle - 25.0, 0.0) / 35.0
+    dorsal, palm, nail = colours_of(melanin, blood, eu, carotene)
     skin = Skin(
-        **colours_of(melanin, blood, eu, carotene),
+        dorsal_rgb=dorsal,
+        palm_rgb=palm,
+        nail_rgb=nail,
         roughness=round(float(rng.uniform(0.42, 0.56)), 6),
         mottle=round(float(rng.uniform(0.03, 0.07)), 6),
         seed=int(rng.integers(2**31)),
@@ -124,12 +127,15 @@ def pigments_of(
     return melanin, blood, eumelanin, carotene
 
 
-def colours_of(melanin: float, blood: float, eumelanin: float, carotene: float) -> dict[str, Vec3]:
-    """Return the mean albedo of each zone, linear sRGB, by the name of its field in ``Skin``."""
-    return {
-        f"{zone}_rgb": rounded(skin_rgb(*pigments_of(zone, melanin, blood, eumelanin, carotene)))
+def colours_of(
+    melanin: float, blood: float, eumelanin: float, carotene: float
+) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the mean albedo of back, palm and nail beds, linear sRGB."""
+    dorsal, palm, nail = (
+        rounded(skin_rgb(*pigments_of(zone, melanin, blood, eumelanin, carotene)))
         for zone in ("dorsal", "palm", "nail")
-    }
+    )
+    return dorsal, palm, nail
 
 
 def rounded(values: NDArray[np.float64], digits: int = 6) -> Vec3:

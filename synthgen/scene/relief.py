@@ -88,7 +88,7 @@ def _layout(model: ManoModel) -> Relief:
     )
 
 
-def bump(distance: Any, radius: float) -> Array:
+def bump(distance: Any, radius: Any) -> Array:
     """Return a Gaussian bump of height 1."""
     return np.asarray(np.exp(-((np.asarray(distance) / radius) ** 2)))
 

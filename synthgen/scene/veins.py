@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
+
+from synthgen.geometry.nearest import nearest
 
 if TYPE_CHECKING:
     from synthgen.scene.anatomy import Anatomy
@@ -35,11 +36,11 @@ def vein_field(
     anatomy : Anatomy
     """
     plan = np.asarray(points, np.float64)[:, [0, 2]]
-    distance, nearest = _tree(anatomy)
-    away, index = distance.query(plan, distance_upper_bound=_REACH_M)
+    net, gain = _net(anatomy)
+    away, index = nearest(net, plan, _REACH_M)
     found = np.isfinite(away)
     strength = np.zeros(len(plan))
-    strength[found] = nearest[index[found]] * np.exp(-((away[found] / _RADIUS_M) ** 2))
+    strength[found] = gain[index[found]] * np.exp(-((away[found] / _RADIUS_M) ** 2))
     fingers = np.stack([weights[:, 1 + 3 * f : 4 + 3 * f].sum(axis=1) for f in range(5)]).max(
         axis=0
     )
@@ -47,14 +48,15 @@ def vein_field(
     return np.asarray(strength * dorsal)
 
 
-def _tree(anatomy: Anatomy) -> tuple[cKDTree, Array]:
+def _net(anatomy: Anatomy) -> tuple[Array, Array]:
+    """Points (m, 2) along every vein, and the vein's strength there (m,)."""
     lines = _lines(anatomy)
     points = [curve(line, _STEP_M) for line, _ in lines]
     strength = [
         gain * (0.65 + 0.35 * np.sin(9.0 * np.linspace(0, 1, len(p)) + 3 * k))
         for k, (p, (_, gain)) in enumerate(zip(points, lines, strict=True))
     ]
-    return cKDTree(np.concatenate(points)), np.concatenate(strength)
+    return np.concatenate(points), np.concatenate(strength)
 
 
 def _lines(anatomy: Anatomy) -> list[tuple[Array, float]]:

@@ -18,7 +18,8 @@ from synthgen.scene import Skin
 Values = NDArray[np.float32]
 
 # Logarithms of the pigments that the colour table spans, and its coarse and fine sizes.
-_MELANIN, _BLOOD = np.log([0.0015, 0.7]), np.log([0.002, 0.25])
+_MELANIN = (float(np.log(0.0015)), float(np.log(0.7)))
+_BLOOD = (float(np.log(0.002)), float(np.log(0.25)))
 _COARSE, _FINE = (96, 28), (512, 168)
 _VEIN_TINT = np.array([-0.15, -0.05, 0.02], dtype=np.float32)
 

@@ -16,11 +16,11 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.models import ManoModel
+from synthgen.models import ManoModel, mirror_model
 from synthgen.render.skin import creases, fields, nails, noise, sites
 from synthgen.render.skin.cache import cache_folder
 from synthgen.scene import anatomy as anatomy_module
-from synthgen.scene import surface, veins
+from synthgen.scene import relief, surface, veins
 from synthgen.scene.anatomy import Anatomy, anatomy_of
 from synthgen.scene.surface import DrawnSurface
 
@@ -28,7 +28,7 @@ Values = NDArray[np.float32]
 
 # What decides a bake besides the model: a change of any of these makes new maps.
 _SOURCES: tuple[ModuleType, ...] = (
-    anatomy_module, surface, veins, creases, fields, nails, noise, sites
+    anatomy_module, relief, surface, veins, creases, fields, nails, noise, sites
 )  # fmt: skip
 _WHOLE = {"joint": np.uint8, "freckle": np.uint16}
 
@@ -74,7 +74,6 @@ class SkinMaps:
         return len(self.fill)
 
 
-@lru_cache(maxsize=4)
 def bake(model: ManoModel, size: int) -> SkinMaps:
     """Return the maps of a model's topology, from the cache where it has them.
 
@@ -85,6 +84,16 @@ def bake(model: ManoModel, size: int) -> SkinMaps:
     size : int
         Edge of the atlas, texels: 1024 suits pictures up to about 320 px.
     """
+    return _cached(_right(model), size)
+
+
+@lru_cache(maxsize=8)
+def _right(model: ManoModel) -> ManoModel:
+    return model if model.hand == "right" else mirror_model(model)
+
+
+@lru_cache(maxsize=4)
+def _cached(model: ManoModel, size: int) -> SkinMaps:
     file = cache_folder("skin") / f"{_key(model, size)}.npz"
     found = _read(file)
     if found is None:
@@ -94,7 +103,7 @@ def bake(model: ManoModel, size: int) -> SkinMaps:
 
 
 def bake_maps(model: ManoModel, size: int) -> SkinMaps:
-    """Lay out the maps anew."""
+    """Lay out the maps of a right hand anew."""
     anatomy = anatomy_of(model)
     texels, fill = sites.atlas_sites(model, size)
     return _rounded(_lay(texels, anatomy), fill)
@@ -146,7 +155,7 @@ def _read(file: Path) -> SkinMaps | None:
     """Return stored maps; None where there are none, or not whole ones."""
     wanted = {f.name for f in dataclasses.fields(SkinMaps)}
     try:
-        with np.load(file, allow_pickle=False) as content:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as content:
             if set(content.files) != wanted:
                 return None
             return _widened({name: content[name] for name in content.files})

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from synthgen.geometry.nearest import nearest
 from synthgen.geometry.normals import unit
 from synthgen.render.skin.noise import solid_noise
 from synthgen.render.skin.sites import Sites
 from synthgen.sampling.streams import stream
 from synthgen.scene.anatomy import Anatomy, Finger
+from synthgen.scene.relief import bump
 from synthgen.scene.veins import curve
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ def _neighbour_distance(finger: Finger, k: int) -> float:
 
 def _joint_creases(a: _Around, finger: Finger, k: int, sites: Sites) -> tuple[Values, Values]:
     """Heights of the wrinkles on a joint's back and of the folds on its palm side, mm."""
-    palmar = np.pi - np.abs(a.phi)
+    palmar = np.asarray(np.pi - np.abs(a.phi), dtype=np.float32)
     if k == 0 or (finger.is_thumb and k == 1):
         return _knuckle_wrinkles(a, finger, k, sites), _digit_fold(a, finger, k, palmar, sites)
     middle = k == 1 or finger.is_thumb
@@ -114,11 +115,11 @@ def _wrinkles(a: _Around, finger: Finger, k: int, middle: bool, sites: Sites) ->
         at = i * pitch * bow + 0.0004 * rng.standard_normal()
         at = at + (0.0003 + 0.0002 * rng.random()) * a.sway
         width = sites.width(0.00034 + 0.00014 * rng.random())
-        reach = _line(a.phi + 0.22 * rng.standard_normal(), 0.62 + 0.3 * rng.random())
+        reach = bump(a.phi + 0.22 * rng.standard_normal(), 0.62 + 0.3 * rng.random())
         gain = np.exp(-((i / (0.75 * count)) ** 2)) * rng.uniform(0.5, 1.0)
-        height -= depth * gain * _line(a.u - at, width) * reach
+        height -= depth * gain * bump(a.u - at, width) * reach
     pad = 0.22 if middle else 0.10
-    return np.asarray(height + pad * _line(a.u, 0.0055) * _line(a.phi, 0.8), dtype=np.float32)
+    return np.asarray(height + pad * bump(a.u, 0.0055) * bump(a.phi, 0.8), dtype=np.float32)
 
 
 def _knuckle_wrinkles(a: _Around, finger: Finger, k: int, sites: Sites) -> Values:
@@ -129,7 +130,7 @@ def _knuckle_wrinkles(a: _Around, finger: Finger, k: int, sites: Sites) -> Value
         at = i * 0.0026 + 0.0006 * rng.standard_normal() + 0.0007 * a.sway
         width = sites.width(0.0005)
         gain = rng.uniform(0.4, 1.0) * np.exp(-((i / 2.6) ** 2))
-        height -= 0.20 * gain * _line(a.u - at, width) * _line(a.phi + 0.2 * i % 0.3, 0.8)
+        height -= 0.20 * gain * bump(a.u - at, width) * bump(a.phi + 0.2 * i % 0.3, 0.8)
     return height
 
 
@@ -138,11 +139,11 @@ def _fold(a: _Around, middle: bool, palmar: Values, sites: Sites) -> Values:
     bow = a.u + 0.0005 * np.cos(2 * palmar) + 0.00035 * a.sway
     width = sites.width(0.00045)
     if middle:
-        line = _line(bow - 0.0012, width) + 0.8 * _line(bow + 0.0013, width)
+        line = bump(bow - 0.0012, width) + 0.8 * bump(bow + 0.0013, width)
     else:
-        line = _line(bow, width) + 0.3 * _line(bow + 0.0016, sites.width(0.0004))
+        line = bump(bow, width) + 0.3 * bump(bow + 0.0016, sites.width(0.0004))
     broken = np.clip(0.8 + 0.25 * a.sway, 0.2, 1.1)
-    return np.asarray(-0.34 * line * _line(palmar, 1.15) * broken, dtype=np.float32)
+    return np.asarray(-0.34 * line * bump(palmar, 1.15) * broken, dtype=np.float32)
 
 
 def _digit_fold(a: _Around, finger: Finger, k: int, palmar: Values, sites: Sites) -> Values:
@@ -152,8 +153,8 @@ def _digit_fold(a: _Around, finger: Finger, k: int, palmar: Values, sites: Sites
     u = a.u - share * bone + 0.00035 * a.sway
     width = sites.width(0.0005)
     second = 0.75 if finger.name in ("middle", "ring") else 0.3
-    line = _line(u - 0.0012, width) + second * _line(u + 0.0013, width)
-    return np.asarray(-0.32 * line * _line(palmar, 1.0), dtype=np.float32)
+    line = bump(u - 0.0012, width) + second * bump(u + 0.0013, width)
+    return np.asarray(-0.32 * line * bump(palmar, 1.0), dtype=np.float32)
 
 
 def _palm_lines(sites: Sites, anatomy: Anatomy) -> tuple[Values, Values]:
@@ -168,17 +169,17 @@ def _palm_lines(sites: Sites, anatomy: Anatomy) -> tuple[Values, Values]:
     plan = sites.points[own][:, [0, 2]] + 0.0008 * np.stack(warp, axis=1)
     fading = np.clip(0.72 + 0.4 * solid_noise(sites.points[own], 0.011, "palm fading", 2), 0.1, 1.1)
     for points, gain, width in _palm_curves(anatomy):
-        away, nearest = cKDTree(points).query(plan, distance_upper_bound=0.004)
+        away, at = nearest(points, plan, 0.004)
         found = np.flatnonzero(np.isfinite(away))
-        end = np.minimum(nearest[found], len(points) - 1 - nearest[found]) / len(points)
+        end = np.minimum(at[found], len(points) - 1 - at[found]) / len(points)
         taper = np.clip(end / 0.16, 0, 1) ** 0.7
         # Narrow at the tips, broader in the middle, as a fold is.
-        line = _line(away[found], sites.width(width) * (0.55 + 0.45 * taper))
+        line = bump(away[found], sites.width(width) * (0.55 + 0.45 * taper))
         deep = gain * line * taper * (mask[own] * fading)[found]
         height[own[found]] -= (0.36 * deep).astype(np.float32)
         # A fold also draws the skin around it in a little.
-        height[own[found]] -= (0.10 * gain * _line(away[found], 0.0018) * taper).astype(np.float32)
-        thin = _line(away[found], sites.width(0.6 * width) * (0.5 + 0.5 * taper))
+        height[own[found]] -= (0.10 * gain * bump(away[found], 0.0018) * taper).astype(np.float32)
+        thin = bump(away[found], sites.width(0.6 * width) * (0.5 + 0.5 * taper))
         mark = 0.75 * gain * thin * taper * (mask[own] * fading)[found]
         tint[own[found]] = np.maximum(tint[own[found]], mark)
     wrist_height, wrist_tint = _wrist_lines(sites, facing)
@@ -222,13 +223,9 @@ def _wrist_lines(sites: Sites, facing: Values) -> tuple[Values, Values]:
         sway = 0.0016 * solid_noise(points, 0.02, f"wrist line/{k}", 2)
         u = points[:, 0] - x - sway - 6 * points[:, 2] ** 2
         broken = np.clip(0.6 + 0.5 * solid_noise(points, 0.012, f"wrist gap/{k}"), 0, 1)
-        line = gain * _line(u, sites.width(0.0005)) * broken * np.clip((side - 0.25) / 0.4, 0, 1)
+        line = gain * bump(u, sites.width(0.0005)) * broken * np.clip((side - 0.25) / 0.4, 0, 1)
         height[own] -= (0.26 * line).astype(np.float32)
         tint[own] += (0.8 * line).astype(np.float32)
-        back = 0.3 * gain * _line(u * 0.6, sites.width(0.0008)) * np.clip((-side - 0.2) / 0.6, 0, 1)
+        back = 0.3 * gain * bump(u * 0.6, sites.width(0.0008)) * np.clip((-side - 0.2) / 0.6, 0, 1)
         height[own] -= (0.12 * back).astype(np.float32)
     return height, tint
-
-
-def _line(distance: Array | Values, width: Array | Values | float) -> Array | Values:
-    return np.asarray(np.exp(-((distance / width) ** 2)))

@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from synthgen.geometry.nearest import nearest
 from synthgen.render.skin.noise import solid_noise
 from synthgen.render.skin.sites import Sites
 from synthgen.sampling.streams import stream
 from synthgen.scene.anatomy import Anatomy
+from synthgen.scene.relief import bump
 from synthgen.scene.veins import curve, vein_field
 
 Values = NDArray[np.float32]
 
 FRECKLE_SITES = 900
 FRECKLE_REACH_MM = 3.0
-_CELLS = 60_000
+_CELLS, _FURROW_M = 60_000, 0.00022
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,7 @@ def _knuckles(sites: Sites, anatomy: Anatomy, fingers: Values) -> Values:
             if finger.is_thumb and k == 0:
                 continue
             away = np.linalg.norm(points - _over(finger.points[k], finger.back), axis=1)
-            spot = np.exp(-((away / (radius + 0.004)) ** 2))
+            spot = bump(away, radius + 0.004)
             strength[own] = np.maximum(strength[own], gain * spot * dorsal * share)
     return strength
 
@@ -112,10 +114,8 @@ def _veins(sites: Sites, anatomy: Anatomy, inner: Values) -> NDArray[np.float64]
     for k, (z0, z1) in enumerate(((0.014, 0.022), (0.002, -0.004), (-0.010, -0.02))):
         sway = 0.003 * np.sin(5 * t + 2 * k)
         lines.append(curve(np.hstack([-0.005 + 0.16 * t, z0 + (z1 - z0) * t + sway]), 0.0005))
-    away, _ = cKDTree(np.concatenate(lines)).query(
-        sites.points[:, [0, 2]], distance_upper_bound=0.006
-    )
-    under = np.exp(-((np.minimum(away, 1.0) / 0.0019) ** 2)) * _step(inner, 0.3, 0.8)
+    away, _ = nearest(np.concatenate(lines), sites.points[:, [0, 2]], 0.006)
+    under = bump(np.minimum(away, 1.0), 0.0019) * _step(inner, 0.3, 0.8)
     broken = np.clip(0.6 + 0.5 * solid_noise(sites.points, 0.03, "vein depth"), 0.1, 1)
     return np.asarray(np.clip(np.maximum(back, 0.7 * under) * broken, 0, 1))
 
@@ -146,7 +146,7 @@ def lay_grain(sites: Sites, palm: Values, plate: Values) -> Grain:
     bare = 1 - plate
     soft = (1 - 0.55 * palm) * bare
     stretched = points * np.array([1.0, 1.0, 2.2], dtype=np.float32)
-    relief = -0.034 * furrow * soft
+    relief = -0.042 * furrow * soft
     relief += 0.020 * solid_noise(points, 0.0016, "relief fine", 2) * soft
     relief += 0.032 * solid_noise(stretched, 0.0035, "relief", 2) * bare * (0.6 + 0.4 * palm)
     relief += 0.05 * solid_noise(points, 0.010, "relief soft", 2) * bare * (1 - palm)
@@ -167,18 +167,20 @@ def _furrows(sites: Sites) -> Values:
     """Borders between cells about a millimetre wide: where the two nearest seeds are as far."""
     rng = stream(0, "corpus", 0, 0, "skin cells")
     seeds = sites.points[rng.permutation(len(sites.points))[:_CELLS]]
-    seeds = seeds + rng.normal(size=seeds.shape) * 2e-4
-    away, _ = cKDTree(seeds).query(sites.points, k=2)
+    seeds = seeds + (rng.normal(size=seeds.shape) * 2e-4).astype(np.float32)
+    found: Any = cKDTree(seeds).query(sites.points, k=2)
+    away = found[0]
     apart = away[:, 1] - away[:, 0]
-    return np.asarray(np.exp(-((apart / sites.width(0.00018)) ** 2)), dtype=np.float32)
+    width = sites.width(_FURROW_M)
+    return np.asarray(bump(apart, width) * min(1.0, _FURROW_M / width), np.float32)
 
 
 def _freckles(sites: Sites) -> tuple[NDArray[np.uint16], Values]:
     rng = stream(0, "corpus", 0, 0, "freckle sites")
     seeds = sites.points[rng.permutation(len(sites.points))[:FRECKLE_SITES]]
-    away, nearest = cKDTree(seeds).query(sites.points, distance_upper_bound=FRECKLE_REACH_MM * 1e-3)
+    away, found = nearest(seeds, sites.points, FRECKLE_REACH_MM * 1e-3)
     off = ~np.isfinite(away)
-    number = np.where(off, 0, nearest).astype(np.uint16)
+    number = np.where(off, 0, found).astype(np.uint16)
     return number, np.where(off, FRECKLE_REACH_MM, away * 1e3).astype(np.float32)
 
 
@@ -190,4 +192,4 @@ def _step(x: Any, low: float, high: float) -> Values:
 def _near(points: Values, places: Any, radius: float) -> Values:
     """Highest of Gaussian spots around places (m, 3)."""
     spots = [np.linalg.norm(points - np.asarray(p, np.float32), axis=1) for p in places]
-    return np.asarray(np.exp(-((np.min(spots, axis=0) / radius) ** 2)), dtype=np.float32)
+    return np.asarray(bump(np.min(spots, axis=0), radius), dtype=np.float32)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from synthgen.render.skin.sites import Sites
 from synthgen.scene.anatomy import Anatomy, Nail
+from synthgen.scene.relief import bump
 
 Values = NDArray[np.float32]
 
@@ -60,17 +61,13 @@ def _lay(nails: Nails, sites: Sites, nail: Nail, joint: int) -> None:
     soft = max(0.00016, 0.45 * sites.spacing_m)
     plate = np.clip(0.5 - edge / (2 * soft), 0, 1)
     sides = np.clip((0.8 - ahead) / 0.25, 0, 1)
-    ring, groove = _line(edge - 0.0009, 0.0008), _line(edge - 0.0001, sites.width(0.00022))
+    ring, groove = bump(edge - 0.0009, 0.0008), bump(edge - 0.0001, sites.width(0.00022))
     keep = own[edge < 0.003]
     near = edge < 0.003
     nails.plate[keep] = np.maximum(nails.plate[keep], plate[near])
     nails.along[keep], nails.across[keep] = (u / a)[near], (w / b)[near]
     fold = (groove * sides * np.where(u < 0, 1.0, 0.7) + 0.3 * ring * (u < 0))[near]
-    nails.cuticle[keep] = np.maximum(nails.cuticle[keep], fold)
+    nails.cuticle[keep] = np.maximum(nails.cuticle[keep], np.minimum(fold, 1))
     ridges = 0.003 * np.sin(w / 0.00045) * plate
     arch = 0.03 * plate * (1 - 0.6 * x**2)
     nails.height[keep] += (0.09 * ring * sides - 0.16 * groove * sides + ridges + arch)[near]
-
-
-def _line(distance: Values, width: float) -> Values:
-    return np.asarray(np.exp(-((distance / width) ** 2)))

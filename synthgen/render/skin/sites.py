@@ -66,19 +66,22 @@ def atlas_sites(model: ManoModel, size: int) -> tuple[Sites, NDArray[np.int32]]:
     inside = barycentric[covered].astype(np.float32)
     sites = Sites(
         points=_blend(anatomy.points, corners, inside),
-        normals=unit(_blend(anatomy.normals, corners, inside)).astype(np.float32),
+        normals=_blend(anatomy.normals, corners, inside, even=True),
         weights=_blend(anatomy.weights, corners, inside),
         spacing_m=_spacing(anatomy, drawn, size),
     )
     return sites, _fill(covered)
 
 
-def _blend(values: NDArray[np.float64], corners: NDArray[np.int64], inside: Values) -> Values:
+def _blend(
+    values: NDArray[np.float64], corners: NDArray[np.int64], inside: Values, even: bool = False
+) -> Values:
+    """Interpolate vertex values (n, m) at texels; ``even`` scales rows to length 1."""
     narrow = values.astype(np.float32)
     total = inside[:, :1] * narrow[corners[:, 0]]
     for k in (1, 2):
         total += inside[:, k : k + 1] * narrow[corners[:, k]]
-    return np.asarray(total)
+    return unit(total.astype(np.float64)).astype(np.float32) if even else np.asarray(total)
 
 
 def _spacing(anatomy: Anatomy, drawn: DrawnSurface, size: int) -> float:
