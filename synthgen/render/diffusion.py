@@ -2,7 +2,8 @@
 
 Irradiance (picture over albedo) is blurred within the skin's mask by two Gaussians per channel
 with the widths of a diffusion profile in millimetres; melanin above it narrows nothing but hides
-what comes out, which the albedo already says.
+what comes out, which the albedo already says. Highlights stay where they are: they are the
+surface's own, as is a share of the light that shows its relief.
 """
 
 from __future__ import annotations
@@ -21,6 +22,13 @@ Image = NDArray[np.float32]
 REACH_M = (2.2e-3, 0.9e-3, 0.5e-3)
 _GAUSSIANS = ((0.55, 0.35), (0.45, 1.0))
 _DARKEST = 0.02
+# What the surface itself reflects, and the relief in it, never enters the skin.
+_SURFACE = 0.25
+# Irradiance beyond this multiple of that around it is a highlight.
+_HIGHLIGHT, _AROUND_M = 1.4, 4e-3
+
+# The picture cannot tell a finger from the one behind it: no pixel changes by more than this.
+_MOST = 1.3
 
 
 def diffuse(linear: Image, albedo: Image, labels: Labels, camera: Camera) -> Image:
@@ -34,13 +42,21 @@ def diffuse(linear: Image, albedo: Image, labels: Labels, camera: Camera) -> Ima
     for channel, reach in enumerate(REACH_M):
         tint = np.maximum(albedo[..., channel], _DARKEST)
         irradiance = linear[..., channel] / tint * mask
-        spread = np.zeros_like(irradiance)
-        for share, width in _GAUSSIANS:
-            sigma = width * reach * pixels_per_metre
-            if sigma < 0.25:  # less than a pixel: nothing to see
-                spread += share * irradiance
-                continue
-            weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3)
-            spread += share * cv2.GaussianBlur(irradiance, (0, 0), sigma) / weight
-        out[..., channel] = np.where(skin, tint * spread, linear[..., channel])
+        around = _blurred(irradiance, mask, _AROUND_M * pixels_per_metre)
+        inside = (1 - _SURFACE) * np.minimum(irradiance, _HIGHLIGHT * around)
+        spread: Image = sum(
+            share * _blurred(inside, mask, width * reach * pixels_per_metre)
+            for share, width in _GAUSSIANS
+        )
+        lit = spread + irradiance - inside
+        lit = np.clip(lit, irradiance / _MOST, irradiance * _MOST)
+        out[..., channel] = np.where(skin, tint * lit, linear[..., channel])
     return out
+
+
+def _blurred(values: Image, mask: Image, sigma: float) -> Image:
+    """Blur masked values within their mask; less than a quarter pixel is nothing to see."""
+    if sigma < 0.25:
+        return values
+    weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3)
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma) / weight, dtype=np.float32)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import Camera, undistort
 from synthgen.render import backend
+from synthgen.render.skin import material
 from synthgen.render.upload import LiveScene
 from synthgen.scene import Optics
 
@@ -29,7 +30,8 @@ MOST_PATHS = 4_000_000
 class Guides:
     """What a denoiser, white balance and diffusion lean on, (H, W, 3) float32, anti-aliased.
 
-    ``albedo`` in 0..1 (1 where nothing is hit); ``normal`` world frame, zero where nothing is hit.
+    ``albedo`` in 0..1 (1 where nothing is hit); ``normal`` world frame, fine relief included, zero
+    where nothing is hit.
     """
 
     albedo: Image
@@ -90,7 +92,11 @@ class Film:
             lit = valid & (hit.emitter(self._live.scene) != None)  # noqa: E711  (a Dr.Jit mask)
             albedo = hit.bsdf(ray).eval_diffuse_reflectance(hit, valid & ~lit)
             albedo = dr.select(valid & ~lit, albedo, 1.0)
-            normal = dr.select(valid, hit.sh_frame.n, mi.Normal3f(0.0))
+            normal = dr.select(valid, mi.Vector3f(hit.sh_frame.n), mi.Vector3f(0.0))
+            for name, relief in self._live.bumps.items():
+                own = valid & (hit.shape == mi.ShapePtr(self._live.shape(name)))
+                bumped = material.bumped_normal(mi, dr, hit, relief, own)
+                normal = dr.select(own, mi.Vector3f(bumped), normal)
             return [*albedo, *normal]
 
         both = self._mean(spp, seed, look, 6)

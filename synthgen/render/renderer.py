@@ -141,11 +141,15 @@ class Renderer:
         scene = spec.scene
         models = tuple(load(s.model, hand=s.hand) for s in scene.subjects)
         structure = Structure.of(scene, models, spec.render.quality)
+        results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
+        surfaces = [surface for surface, _ in results]
         if structure not in self._scenes:
             self._scenes[structure] = LiveScene(models, structure)
+            # The first update turns what the loader left as literals into data: other kernels,
+            # other last bits. Nothing may be drawn before it.
+            self._scenes[structure].update(scene, surfaces)
         live = self._scenes[structure]
-        results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
-        live.update(scene, [surface for surface, _ in results])
+        live.update(scene, surfaces)
         return live, [posed for _, posed in results]
 
 

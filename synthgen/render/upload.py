@@ -88,6 +88,7 @@ class LiveScene:
         self._look = (
             structure.quality, material.atlas_size(structure.quality, structure.picture_px)
         )  # fmt: skip
+        self.bumps: dict[str, Any] = {}
         self._mi: Any = backend.mitsuba()
         self._scene = self._load()
         self._params = self._mi.traverse(self._scene)
@@ -122,6 +123,8 @@ class LiveScene:
             description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(grey)}
         for k, drawn in enumerate(self.drawn):
             skin = material.describe(mi, *self._look)
+            if "bump" in skin:
+                self.bumps[f"hand{k}"] = skin["bump"]
             description[f"hand{k}"] = materials.mesh(
                 mi, f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv, skin, smooth=True
             )

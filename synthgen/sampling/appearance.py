@@ -58,7 +58,7 @@ def sample_skin(tones: tuple[float, float], *, rng: np.random.Generator) -> tupl
         dorsal_rgb=dorsal,
         palm_rgb=palm,
         nail_rgb=nail,
-        roughness=round(float(rng.uniform(0.42, 0.56)), 6),
+        roughness=round(float(rng.uniform(0.48, 0.62)), 6),
         mottle=round(float(rng.uniform(0.03, 0.07)), 6),
         seed=int(rng.integers(2**31)),
         melanin=round(melanin, 6),
