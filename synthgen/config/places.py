@@ -31,7 +31,7 @@ class LightSettings(Weighted):
     """One square lamp and a dim surround. In full 0.15."""
 
     room: Weight = 0.3
-    """Lamps near the ceiling; in quality full a ceiling lamp and a window. In full 0.4."""
+    """A room's ceiling lamp and window; before a wall, two lamps near the ceiling. In full 0.4."""
 
     lamp: Weight = 0.0
     """One lamp and next to nothing else: deep shadows. In full 0.12."""

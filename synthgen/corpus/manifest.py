@@ -19,8 +19,11 @@ from synthgen.errors import IntegrityError
 MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
 
-def engine(variant: str) -> dict[str, Any]:
-    """Return what decides the bytes besides the config: back end and library versions."""
+def engine(variant: str, denoise: str = "none") -> dict[str, Any]:
+    """Return what decides the bytes besides the config: back end and library versions.
+
+    The denoiser counts where one is asked for: ``oidn``, or ``auto``, which may find it missing.
+    """
     from synthgen.render import backend
 
     chosen = backend.resolve(variant)
@@ -28,7 +31,10 @@ def engine(variant: str) -> dict[str, Any]:
     return {
         "variant": chosen,
         "llvm": backend.llvm_version(str(library)) if library else None,
-        "versions": {"synthgen": __version__, **backend.versions()},
+        "versions": {
+            "synthgen": __version__,
+            **backend.versions(denoiser=denoise != "none"),
+        },
     }
 
 
@@ -100,6 +106,8 @@ def _parquet(rows: list[dict[str, Any]]) -> bytes:
 
 def _card(manifest: dict[str, Any], rows: list[dict[str, Any]]) -> str:
     left = sum(row.get("hand") == "left" for row in rows)
+    files = sorted({str(row["licence"]) for row in rows if row.get("licence")})
+    others = f"\nPictures and panoramas of others are in it, used under: {'; '.join(files)}.\n"
     return f"""---
 license: cc0-1.0
 task_categories: [keypoint-detection, depth-estimation]
@@ -118,4 +126,4 @@ left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1
 Hands of the `cc0-hand` model are CC0. Parameters and vertices of licensed models (MANO and
 others) fall under those models' licences: fields `spec.scene.subjects` and `keypoints_3d_m`.
 Shapes and poses are authored distributions, not measurements of people.
-"""
+{others if files else ""}"""

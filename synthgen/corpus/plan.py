@@ -59,7 +59,10 @@ def write_plan(config: Config, out: Path, *, progress: bool = True) -> Path:
 
 def _claim(config: Config, out: Path) -> None:
     """Refuse a folder that belongs to another config or was made by another engine."""
-    mine = {"config_hash": config_hash(config), **engine(config.render.variant)}
+    mine = {
+        "config_hash": config_hash(config),
+        **engine(config.render.variant, config.render.denoise),
+    }
     path = out / ENGINE
     if path.is_file():
         theirs = _read_json(path)

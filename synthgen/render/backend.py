@@ -125,9 +125,10 @@ def report() -> dict[str, Any]:
     return found
 
 
-def versions() -> dict[str, str]:
+def versions(*, denoiser: bool = False) -> dict[str, str]:
     """Return versions of the libraries that decide the bytes of a render."""
     names = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless")
+    names += ("mitsuba-oidn",) if denoiser else ()
     found = {}
     for name in names:
         try:

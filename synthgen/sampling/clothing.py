@@ -65,7 +65,7 @@ def _ring(rng: np.random.Generator) -> Band:
     return Band(
         kind="ring",
         finger=int(rng.choice(_RING_FINGERS)),
-        place=round(float(rng.uniform(0.38, 0.5)), 6),
+        place=round(float(rng.uniform(0.56, 0.68)), 6),
         width_m=round(float(rng.uniform(0.002, 0.006)), 6),
         thickness_m=round(float(rng.uniform(0.0012, 0.002)), 6),
         colour_rgb=_metal(rng),

@@ -57,8 +57,8 @@ def sample_lights(
         return Lights((0.0, 0.0, 0.0), sky=_sky(subject, camera, panorama, rng))
     if background.kind == "room":
         return Lights((0.0, 0.0, 0.0), area=_room_lamps(subject, camera, background, rng))
-    lamps = tuple(_near_ceiling(subject, share, rng=rng) for share in (2.6, 1.2))
-    return Lights(constant_rgb=(0.0, 0.0, 0.0), area=lamps)
+    lamps = tuple(_near_ceiling(subject, camera, share, rng=rng) for share in (2.4, 1.0))
+    return Lights(constant_rgb=_tint(rng.uniform(0.08, 0.2), rng), area=lamps)
 
 
 def _lamp(
@@ -80,10 +80,14 @@ def _lamp(
     return _area_light(position, subject, subject, size, irradiance * _white(rng))
 
 
-def _near_ceiling(subject: Array, irradiance: float, *, rng: np.random.Generator) -> AreaLight:
-    position = subject + np.array(
-        [rng.uniform(-0.6, 0.6), rng.uniform(0.7, 0.95), rng.uniform(-0.6, 0.6)]
-    )
+def _near_ceiling(
+    subject: Array, camera: Array, irradiance: float, *, rng: np.random.Generator
+) -> AreaLight:
+    """One lamp above the subject, towards the camera."""
+    aside = rng.uniform(-0.5, 0.5, 2)
+    flat = (camera - subject)[[0, 2]]
+    aside = aside + flat / max(float(np.linalg.norm(flat)), 1e-6) * rng.uniform(0.2, 0.7)
+    position = subject + np.array([aside[0], rng.uniform(0.7, 0.95), aside[1]])
     size = float(rng.uniform(0.15, 0.5))
     return _area_light(position, subject, subject, size, irradiance * np.array(_tint(1.0, rng)))
 

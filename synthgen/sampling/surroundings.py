@@ -51,6 +51,7 @@ def surround(config: Config, stage: Stage, streams: Streams) -> Surroundings:
         config.optics, stage.cameras[0], stage.hand, rng=streams("motion")
     )
     roles = [thing.role for thing in around]
+    used = [f for f in (background.file, lights.sky.file if lights.sky else None) if f is not None]
     return Surroundings(
         cameras=sensing.distorted(
             stage.cameras, config.optics.distortion, rng=streams("distortion")
@@ -69,6 +70,7 @@ def surround(config: Config, stage: Stage, streams: Streams) -> Surroundings:
             "things": len(around),
             "motion": int(motion is not None),
             "defocus": int(any(o.aperture_m > 0 for o in optics)),
+            **({"licence": used[0].licence} if used else {}),
         },
     )
 

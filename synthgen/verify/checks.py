@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from synthgen.corpus.columns import DEPTH_STEP_M
 from synthgen.corpus.sample import Sample, Subject, View
-from synthgen.models.joints import OPENPOSE21_FROM_MANO21, PART_FOREARM
+from synthgen.models.joints import OPENPOSE21_FROM_MANO21, OPENPOSE21_JOINT, PART_FOREARM
 from synthgen.sampling.limits import limits_of, violation
 from synthgen.scene.instances import objects_of
 from synthgen.scene.surface import DrawnSurface
@@ -29,6 +29,7 @@ MASK_SHARE = 0.001  # of silhouette pixels
 DEPTH_M = DEPTH_STEP_M / 2 + 2e-5
 NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
 BONE_M = (0.05, 0.13)
+FLESH = 2.2  # thickest flesh on the way to a joint, over the typical radius there
 # Red over blue of the bluest skylight; and the contrast that edges must have over chance.
 SKY_HUE, EDGE_GAIN = 0.6, 1.15
 
@@ -83,7 +84,7 @@ def check_keypoints(measure: Any, sample: Sample, view: View, again: Redrawn) ->
         limits = limits_of(subject.loaded)
         worst = violation(limits, subject.pose).max()
         measure("joint limits", worst, LIMIT_RAD, "rad beyond the joint limits")
-        check_states(measure, hand, pixels, local[:, 2], view, again)
+        check_states(measure, subject, hand, pixels, local[:, 2], view, again)
 
 
 def _projected(local: Array, K: Array, distortion: Array) -> Array:
@@ -121,7 +122,7 @@ def chirality(keypoints: NDArray[Any], hand: str) -> float:
 
 
 def check_states(
-    measure: Any, hand: Any, pixels: Array, z: Array, view: View, again: Redrawn
+    measure: Any, subject: Subject, hand: Any, pixels: Array, z: Array, view: View, again: Redrawn
 ) -> None:
     """Out of the frame exactly where the projection is; visible only near the seen surface."""
     size = np.array([view.meta["width"], view.meta["height"]])
@@ -130,10 +131,12 @@ def check_states(
     wrong = np.sum((state == 0) & (margin > 0.01)) + np.sum((state > 0) & (margin < -0.01))
     measure("keypoint frame", wrong, 0, "keypoints whose out-of-frame state is wrong")
     column, row = np.clip(np.rint(pixels).astype(int), 0, size - 1).T
-    surface = again.depth_z_m[row, column]
-    on_hand = again.instance[row, column] > 0
-    deep = (state == 2) & on_hand & (z - surface > 0.06)
-    measure("visible too deep", deep.sum(), 0, "visible keypoints over 6 cm behind the surface")
+    # The farthest of the pixels around: a keypoint's ray passes between their centres.
+    surface = ndimage.maximum_filter(again.depth_z_m, 3)[row, column]
+    on_hand = again.face[row, column] >= 0
+    flesh = FLESH * subject.loaded.finger_radius[list(OPENPOSE21_JOINT)] + 0.01
+    deep = (state == 2) & on_hand & (z - surface > flesh)
+    measure("visible too deep", deep.sum(), 0, "visible keypoints farther in than flesh reaches")
     hidden = ndimage.minimum_filter(again.covered, 5)[row, column]
     measure("occlusion", np.sum((state == 2) & hidden), 0, "visible keypoints behind an object")
 

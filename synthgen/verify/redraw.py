@@ -20,6 +20,9 @@ from synthgen.scene.wear import dress
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
+# With distortion, triangles are split until they are this small; a table needs nine rounds.
+SMALL_PX, MOST_SPLITS = 10.0, 10
+
 
 @dataclass(frozen=True, eq=False)
 class Redrawn:
@@ -86,20 +89,51 @@ def _others(sample: Sample) -> list[tuple[int, SolidMesh]]:
 
 def _small_faces(mesh: SolidMesh, camera: Camera) -> tuple[Array, Ids]:
     """Return the triangles before the camera; small ones where its lens bends lines."""
-    vertices, faces = mesh.vertices, mesh.triangles
-    if any(camera.distortion):
-        vertices, faces = split(vertices, faces, 4 if len(faces) < 100 else 1)
-    return vertices, faces[_front_faces(vertices, faces, camera)]
+    if not any(camera.distortion):
+        front = _front_faces(mesh.vertices, mesh.triangles, camera)
+        return mesh.vertices, mesh.triangles[front]
+    corners, small = mesh.vertices[mesh.triangles], []
+    for number in range(MOST_SPLITS):
+        local = (corners - camera.position) @ camera.T[:3, :3]
+        longest = np.linalg.norm(local - np.roll(local, 1, axis=1), axis=2).max(axis=1)
+        large = longest * camera.fx > SMALL_PX * np.maximum(local[..., 2].min(axis=1), 0.05)
+        large &= number < MOST_SPLITS - 1
+        small.append(corners[~large & _inside(local, camera).all(axis=1)])
+        vertices, faces = split(*_loose(corners[large & _reaches(local, camera)]))
+        corners = vertices[faces]
+    return _loose(np.concatenate(small))
+
+
+def _loose(corners: Array) -> tuple[Array, Ids]:
+    """Return triangles (n, 3, 3) as vertices and faces that share none."""
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 def _front_faces(vertices: Array, faces: Ids, camera: Camera) -> Ids:
-    """Faces wholly in front of the camera; an arm may pass behind it, out of the picture.
-
-    Far outside the frame a lens model folds back into it, so with distortion faces there go too.
-    """
-    local = (vertices - camera.position) @ camera.T[:3, :3]
-    inside = local[:, 2] > 0.01
-    if any(camera.distortion):
-        corner = np.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2
-        inside &= np.hypot(local[:, 0], local[:, 1]) < 1.4 * corner * local[:, 2]
+    """Faces wholly in front of the camera; an arm may pass behind it, out of the picture."""
+    inside = _inside((vertices - camera.position) @ camera.T[:3, :3], camera)
     return np.flatnonzero(inside[faces].all(axis=1))
+
+
+def _inside(local: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Tell which camera-frame points (..., 3) are in front, and where the lens model holds.
+
+    Far outside the frame a distortion folds back into it.
+    """
+    inside = local[..., 2] > 0.01
+    if any(camera.distortion):
+        inside &= np.hypot(local[..., 0], local[..., 1]) < _edge(camera) * local[..., 2]
+    return np.asarray(inside)
+
+
+def _reaches(local: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Tell which triangles (n, 3, 3) may have a part in the frame."""
+    front = (local[..., 2] > 0.01).any(axis=1)
+    span = _edge(camera) * np.maximum(local[..., 2].max(axis=1), 0.01)
+    low, high = local[..., :2].min(axis=1), local[..., :2].max(axis=1)
+    return np.asarray(front & ((low < span[:, None]) & (high > -span[:, None])).all(axis=1))
+
+
+def _edge(camera: Camera) -> float:
+    """Radius, over depth, up to which points are drawn: 1.4 times the frame's corner."""
+    return 0.7 * float(np.hypot(camera.width / camera.fx, camera.height / camera.fy))
