@@ -41,13 +41,12 @@ def diffuse(linear: Image, albedo: Image, labels: Labels, camera: Camera) -> Ima
     out = linear.copy()
     for channel, reach in enumerate(REACH_M):
         tint = np.maximum(albedo[..., channel], _DARKEST)
-        irradiance = linear[..., channel] / tint * mask
+        irradiance = np.asarray(linear[..., channel] / tint * mask, dtype=np.float32)
         around = _blurred(irradiance, mask, _AROUND_M * pixels_per_metre)
-        inside = (1 - _SURFACE) * np.minimum(irradiance, _HIGHLIGHT * around)
-        spread: Image = sum(
-            share * _blurred(inside, mask, width * reach * pixels_per_metre)
-            for share, width in _GAUSSIANS
-        )
+        inside = np.float32(1 - _SURFACE) * np.minimum(irradiance, _HIGHLIGHT * around)
+        spread = np.zeros_like(mask)
+        for share, width in _GAUSSIANS:
+            spread += share * _blurred(inside, mask, width * reach * pixels_per_metre)
         lit = spread + irradiance - inside
         lit = np.clip(lit, irradiance / _MOST, irradiance * _MOST)
         out[..., channel] = np.where(skin, tint * lit, linear[..., channel])
