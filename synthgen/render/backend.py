@@ -127,8 +127,8 @@ def report() -> dict[str, Any]:
 
 def versions(*, denoiser: bool = False) -> dict[str, str]:
     """Return versions of the libraries that decide the bytes of a render."""
-    names = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless")
-    names += ("mitsuba-oidn",) if denoiser else ()
+    names = ["mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless"]
+    names += ["mitsuba-oidn"] if denoiser else []
     found = {}
     for name in names:
         try:

@@ -244,7 +244,7 @@ def _redness(sample: Sample) -> float:
     light = min(hues) ** (0.25 if balanced else 1.0)
     error = scene.sensor.balance_error
     skins = [s.skin.dorsal_rgb[0] / s.skin.dorsal_rgb[2] for s in scene.subjects]
-    return min(skins) * light * error[0] / error[2]
+    return float(min(skins) * light * error[0] / error[2])
 
 
 def _edge_gain(view: View) -> float:
