@@ -24,7 +24,9 @@ def wall_texture(background: Background) -> Image:
     """Tileable reflectance (512, 512, 3) float32, linear, from the background's seed."""
     rng = stream(background.seed, "sample", 0, 0, "wall texture")
     pattern = 0.15 * _cloud(rng, 24)
-    if background.kind != "plain":
+    if background.kind == "room":  # mostly paint; else a paper of little contrast
+        pattern = 0.4 * pattern + (0.35 * _pattern(rng) if rng.random() < 0.3 else 0)
+    elif background.kind != "plain":
         pattern = pattern + _pattern(rng)
     share = np.clip(pattern, 0, 1)[..., None]
     first, second = (

@@ -51,8 +51,8 @@ def make_thing(
 
 def sample_colours(rng: np.random.Generator, *, dull: bool = False) -> tuple[Vec3, Vec3]:
     """Mostly woods, whites, greys and blacks; sometimes a strong colour."""
-    strong = rng.random() < (0.1 if dull else 0.4)
-    chroma, hue = (rng.uniform(25, 60), rng.uniform(0, 2 * np.pi)) if strong else (
+    strong = rng.random() < (0.08 if dull else 0.3)
+    chroma, hue = (rng.uniform(18, 45), rng.uniform(0, 2 * np.pi)) if strong else (
         rng.uniform(2, 26), rng.normal(1.15, 0.35))  # fmt: skip
     lab = np.array([rng.uniform(18, 85), chroma * np.cos(hue), chroma * np.sin(hue)])
     other = lab + np.array([rng.normal(0, 18), *rng.normal(0, 8, 2)])
