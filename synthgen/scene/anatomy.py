@@ -70,8 +70,8 @@ class Anatomy:
         Metres; unit, averaged over some millimetres.
     weights : (n, 17)
         Of the 16 joints, then the arm.
-    palm, nail : (n,)
-        Masks, 0..1.
+    nail : (n,)
+        Mask, 0..1.
     joints : (16, 3)
     fingers : tuple of Finger
         Index, middle, pinky, ring, thumb.
@@ -80,7 +80,6 @@ class Anatomy:
     points: Array
     normals: Array
     weights: Array
-    palm: Array
     nail: Array
     joints: Array
     fingers: tuple[Finger, ...]
@@ -100,16 +99,15 @@ def anatomy_of(model: ManoModel) -> Anatomy:
     points = (drawn.refine(rest) - joints[0]) * sign
     faces = drawn.refined_faces if model.hand == "right" else drawn.refined_faces[:, ::-1]
     normals = _calm(vertex_normals(points, faces), faces)
-    palm, nail = masks_of(model)
-    spread = drawn.spread(np.column_stack([_weights(model), palm, nail]))
-    weights, palm, nail = spread[:, :17], spread[:, 17], spread[:, 18]
+    spread = drawn.spread(np.column_stack([_weights(model), masks_of(model)[1]]))
+    weights, nail = spread[:, :17], spread[:, 17]
     local = (joints - joints[0]) * sign
     tips = (model.v_template[model.fingertip_ids] - joints[0]) * sign
     fingers = tuple(
         _finger(f, local, tips[_TIP_ORDER.index(name)], points, normals, weights, nail)
         for f, name in enumerate(FINGERS)
     )
-    return Anatomy(points, normals, weights, palm, nail, local, fingers)
+    return Anatomy(points, normals, weights, nail, local, fingers)
 
 
 def _calm(normals: Array, faces: NDArray[np.int64]) -> Array:

@@ -126,13 +126,13 @@ def _paint_nails(colour: Values, maps: SkinMaps, skin: Skin, dark: float) -> Non
     nail = _mix(bed, pale, 0.55 * moon)
     band = np.exp(-(((u - edge + 0.06) / 0.06) ** 2))
     nail *= 1 - 0.12 * band[:, None] * np.array([0.3, 1.0, 1.0], np.float32)
-    free = np.array([0.56, 0.51, 0.44], np.float32) * (1 - 0.35 * dark)
+    free = np.array([0.56, 0.51, 0.44], np.float32) * (1 - 0.50 * dark)
     if skin.varnish_rgb is not None:
         paint = np.tile(np.array(skin.varnish_rgb, np.float32), (len(own), 1))
         bare = np.clip((u + 0.93) / 0.04 + 0.5, 0, 1) * np.clip((0.95 - np.abs(w)) / 0.04, 0, 1)
         colour[own] = _mix(colour[own], _mix(nail, paint, bare), maps.plate[own])
         return
-    nail = _mix(nail, free, 0.65 * np.clip((u - edge) / 0.05 + 0.5, 0, 1))
+    nail = _mix(nail, free, (0.65 - 0.2 * dark) * np.clip((u - edge) / 0.05 + 0.5, 0, 1))
     colour[own] = _mix(colour[own], nail, maps.plate[own])
 
 
