@@ -39,15 +39,16 @@ def run() -> dict[str, Any]:
 
 
 def _one(renderer: Any, spec: Any, times: dict[str, list[float]]) -> None:
-    camera, settings = spec.scene.cameras[0], spec.render
+    settings = spec.render
     live, posed = _timed(times, "upload", lambda: renderer._upload(spec))
     views = _timed(times, "labels", lambda: renderer._label(live, posed, spec))
     _timed(times, "radiance, developed", lambda: renderer._develop(live, spec, views))
-    fresh = _timed(times, "fresh scene: load", lambda: live._load(camera.width, camera.height))
+    fresh = _timed(times, "fresh scene: load", live._load)
     _copy(live, fresh)
-    _timed(times, "fresh scene: film AOVs, 1 spp", lambda: _aovs(fresh))
+    sensor = _sensor(spec.scene.cameras[0])
+    _timed(times, "fresh scene: film AOVs, 1 spp", lambda: _aovs(fresh, sensor))
     _timed(times, "fresh scene: radiance",
-           lambda: _radiance(fresh, settings.spp, settings.max_depth))  # fmt: skip
+           lambda: _radiance(fresh, sensor, settings.spp, settings.max_depth))  # fmt: skip
     gc.collect()
 
 
@@ -67,24 +68,40 @@ def _copy(live: Any, fresh: Any) -> None:
 
     params = backend.mitsuba().traverse(fresh)
     for key in live._params.keys():  # Mitsuba's parameters do not iterate keys
-        if key in params and "film" not in key and "near" not in key and "far" not in key:
+        if key in params:
             params[key] = live._params[key]
     params.update()
 
 
-def _aovs(scene: Any) -> Any:
+def _sensor(camera: Any) -> Any:
+    """Mitsuba's own camera and film for the same view; its axes are ours but for two signs."""
+    from synthgen.render import backend
+
+    mi = backend.mitsuba()
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height,
+            "pixel_format": "rgb", "component_format": "float32",
+            "rfilter": {"type": "box"}}  # fmt: skip
+    fov = float(2 * np.rad2deg(np.arctan(camera.width / 2 / camera.fx)))
+    turned = camera.T @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    return mi.load_dict(
+        {"type": "perspective", "fov": fov, "fov_axis": "x", "film": film,
+         "sampler": {"type": "independent"}, "to_world": mi.ScalarTransform4f(turned)}
+    )  # fmt: skip
+
+
+def _aovs(scene: Any, sensor: Any) -> Any:
     from synthgen.render import backend
 
     mi = backend.mitsuba()
     integrator = mi.load_dict(
         {"type": "aov", "aovs": "z:depth,n:sh_normal,t:uv,p:prim_index,s:shape_index"}
     )
-    return np.array(mi.render(scene, integrator=integrator, spp=1))
+    return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=1))
 
 
-def _radiance(scene: Any, spp: int, max_depth: int) -> Any:
+def _radiance(scene: Any, sensor: Any, spp: int, max_depth: int) -> Any:
     from synthgen.render import backend
 
     mi = backend.mitsuba()
     integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
-    return np.array(mi.render(scene, integrator=integrator, spp=spp))
+    return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp))

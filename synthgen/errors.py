@@ -33,6 +33,10 @@ class SamplingError(SynthgenError):
     """A sampler cannot meet the configuration (for example: no pose passed its checks)."""
 
 
+class FileError(SynthgenError):
+    """A picture or panorama of the user's is missing, unreadable, hostile or has changed."""
+
+
 class RenderError(SynthgenError):
     """A scene cannot be rendered as described."""
 

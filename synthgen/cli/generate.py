@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Annotated
 
 import typer
@@ -9,6 +10,11 @@ import typer
 from synthgen.cli.options import ConfigName, Json, OutDir, Samples, Seed, Sets, configured
 from synthgen.cli.output import Result
 from synthgen.errors import ConfigError
+
+NO_DENOISER = (
+    "render.denoise=auto finds no denoiser: pictures stay noisy, and the plan says so; run `pip "
+    "install 'synthgen[denoise]'`, or set a higher render.spp"
+)
 
 Workers = Annotated[int, typer.Option("--workers", metavar="W", min=1, help="Processes.")]
 Shards = Annotated[
@@ -31,6 +37,8 @@ def generate(
     from synthgen.corpus.runner import generate as run
 
     loaded, wanted = configured(config, sets, samples, seed), shard_range(shards)
+    if loaded.render.denoise == "auto" and find_spec("mitsuba_oidn") is None:
+        typer.echo(NO_DENOISER, err=True)
     summary = run(loaded, out, workers=workers, shards_range=wanted, progress=not as_json)
     payload = summary.to_json()
     return Result(payload, [f"{name}: {value}" for name, value in payload.items()])

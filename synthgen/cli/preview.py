@@ -16,10 +16,21 @@ Page = Annotated[
 ]
 
 
-def preview(directory: CorpusDir, out: Page = None, as_json: Json = False) -> Result:
-    """Write one static HTML file with pictures, overlays and histograms of a corpus."""
-    from synthgen.corpus.gallery import write_gallery
+Sheet = Annotated[
+    Path | None,
+    typer.Option("--sheet", metavar="FILE", help="Write the pictures alone, as one JPEG sheet."),
+]
 
+
+def preview(
+    directory: CorpusDir, out: Page = None, sheet: Sheet = None, as_json: Json = False
+) -> Result:
+    """Write one static HTML file with pictures, overlays and histograms of a corpus."""
+    from synthgen.corpus.gallery import contact_sheet, write_gallery
+
+    if sheet is not None:
+        contact_sheet(directory, sheet)
+        return Result({"sheet": str(sheet)}, [f"wrote {sheet}"])
     page = out or directory / "gallery.html"
     write_gallery(directory, page)
     return Result({"gallery": str(page)}, [f"open {page} in a browser"])

@@ -5,11 +5,22 @@ The docstring under a field is its documentation, printed by ``synthgen config s
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
-from synthgen.config.sections import FillRange, FovRange, Section, UnitRange, Weight, Weighted
+from synthgen.config.places import (
+    BackgroundSettings,
+    FileSettings,
+    LightSettings,
+    OpticsSettings,
+    SensorSettings,
+    ThingSettings,
+    WearSettings,
+)
+from synthgen.config.quality import in_quality
+from synthgen.config.sections import FillRange, FovRange, Section
+from synthgen.config.skin import SkinSettings
 
 Column = Literal["image", "depth", "labels", "meta", "exr"]
 COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr")
@@ -84,42 +95,6 @@ class CameraSettings(Section):
     """Largest offset of the hand's centre from the image centre, as a share of the frame."""
 
 
-class LightSettings(Weighted):
-    """Weights of the kinds of light."""
-
-    constant: Weight = 0.2
-    """Even light from everywhere."""
-
-    area: Weight = 0.5
-    """One square lamp and a dim surround."""
-
-    room: Weight = 0.3
-    """Two lamps near the ceiling, no surround."""
-
-
-class BackgroundSettings(Weighted):
-    """Weights of the kinds of background."""
-
-    plain: Weight = 0.3
-    """A wall of one colour."""
-
-    procedural: Weight = 0.5
-    """A wall with a procedural texture."""
-
-    room: Weight = 0.2
-    """A box-shaped room around hand and cameras."""
-
-    empty: Weight = 0.0
-    """Nothing: depth 0, `valid` false; the surround's light shows. For compositing; cheapest."""
-
-
-class SkinSettings(Section):
-    """Look of the skin."""
-
-    tones: UnitRange = (0.0, 1.0)
-    """Range of skin tones, 0 the lightest to 1 the darkest; uniform in it, [lowest, highest]."""
-
-
 class RenderSettings(Section):
     """Size and effort of a picture."""
 
@@ -132,11 +107,19 @@ class RenderSettings(Section):
     spp: int = Field(default=16, ge=1, le=4096)
     """Light paths per pixel; labels always come from one ray through the pixel's centre."""
 
-    quality: Literal["plain"] = "plain"
-    """Look of materials and sensor."""
+    quality: Literal["plain", "full"] = "plain"
+    """``full`` turns on every ingredient of the look that is not set otherwise: skin in detail,
+    places, things, what is worn, lens and sensor. ``plain`` leaves them off."""
 
     max_depth: int = Field(default=3, ge=2, le=32)
-    """Longest light path, segments; 2 is direct light only."""
+    """Longest light path, segments; 2 is direct light only. In full 4."""
+
+    denoise: Literal["auto", "oidn", "none"] = "none"
+    """Denoiser of the linear picture: ``oidn`` needs the extra `denoise`; ``auto`` takes it where
+    it is installed. The choice is resolved in the plan. In full auto."""
+
+    diffusion: bool = False
+    """Spread light under the skin, in the picture. In full true."""
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
     """Mitsuba variant; ``auto`` takes CUDA where it works and LLVM elsewhere."""
@@ -181,6 +164,27 @@ class Config(Section):
     camera: CameraSettings = CameraSettings()
     light: LightSettings = LightSettings()
     background: BackgroundSettings = BackgroundSettings()
+    things: ThingSettings = ThingSettings()
+    wear: WearSettings = WearSettings()
     skin: SkinSettings = SkinSettings()
+    optics: OpticsSettings = OpticsSettings()
+    sensor: SensorSettings = SensorSettings()
+    files: FileSettings = FileSettings()
     render: RenderSettings = RenderSettings()
     corpus: CorpusSettings = CorpusSettings()
+
+    @model_validator(mode="after")
+    def _filled_by_quality(self) -> Self:
+        for name, section in in_quality(self, self.render.quality).items():
+            self.__dict__[name] = section  # frozen to everybody else
+        return self
+
+    @model_validator(mode="after")
+    def _files_given(self) -> Self:
+        for weight, given, key in (
+            (self.light.hdri, self.files.hdri, "light.hdri needs files.hdri"),
+            (self.background.photo, self.files.images, "background.photo needs files.images"),
+        ):
+            if weight > 0 and not given:
+                raise ValueError(f"{key}, a file or folder of yours, and files.licence")
+        return self

@@ -31,6 +31,7 @@ from synthgen.models import load_hand
 from synthgen.models.joints import OPENPOSE21_NAMES
 from synthgen.render.renderer import RenderedView
 from synthgen.sampling.spec import SampleSpec
+from synthgen.scene.instances import objects_of
 
 DEPTH_STEP_M = 1e-4
 SCHEMA = 1
@@ -45,9 +46,13 @@ def key_of(index: int, view: int) -> str:
 def encode_view(
     spec: SampleSpec, number: int, view: RenderedView, columns: tuple[str, ...], quality: int
 ) -> dict[str, Members]:
-    """Encode one view into ``{column: {suffix: bytes}}``; the same input gives the same bytes."""
+    """Encode one view into ``{column: {suffix: bytes}}``; the same input gives the same bytes.
+
+    A scene's sensor may have a JPEG quality of its own.
+    """
     if view.image is None or view.linear is None:
         raise CorpusError(f"sample {spec.index} view {number} has labels but no picture")
+    quality = spec.scene.sensor.jpeg_quality or quality
     bgr = np.ascontiguousarray(view.image[..., ::-1])
     encoded: dict[str, Members] = {
         "image": {"jpg": _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])},
@@ -81,7 +86,7 @@ def _label_members(view: RenderedView) -> Members:
 
 
 def describe(spec: SampleSpec, number: int, view: RenderedView) -> dict[str, Any]:
-    """Return the meta of one view: the whole spec, this camera, and its hands' keypoints."""
+    """Return the meta of one view: the whole spec, this camera, its hands and objects."""
     camera = view.camera
     hands = []
     for k, (subject, hand) in enumerate(zip(spec.scene.subjects, view.hands, strict=True)):
@@ -100,6 +105,19 @@ def describe(spec: SampleSpec, number: int, view: RenderedView) -> dict[str, Any
                 "pixels": int(own.sum()),
             }
         )
+    objects = []
+    for found in objects_of(spec.scene):
+        seen = view.labels.instance_id == found.instance_id
+        objects.append(
+            {
+                "instance_id": found.instance_id,
+                "part_id": found.part_id,
+                "kind": found.kind,
+                "subject": found.subject,
+                "box_xyxy": _box(seen),
+                "pixels": int(seen.sum()),
+            }
+        )
     return {
         "schema": SCHEMA,
         "key": key_of(spec.index, number),
@@ -113,6 +131,7 @@ def describe(spec: SampleSpec, number: int, view: RenderedView) -> dict[str, Any
         "exposure": view.exposure,
         "keypoint_names": list(OPENPOSE21_NAMES),
         "hands": hands,
+        "objects": objects,
         "spec": spec.to_json(),
     }
 

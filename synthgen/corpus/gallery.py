@@ -52,16 +52,18 @@ def write_gallery(path: str | Path, out: str | Path | None = None) -> Path:
     return file
 
 
-def contact_sheet(path: str | Path, out: str | Path, columns: int = 8) -> Path:
-    """Write the pictures of a corpus as one JPEG sheet, ``columns`` in a row."""
+def contact_sheet(path: str | Path, out: str | Path, columns: int = 6) -> Path:
+    """Write the pictures of a corpus (of its first 200 samples) as one JPEG sheet."""
     corpus = open_corpus(path)
-    pictures = [view.image for sample in corpus for view in sample.views]
+    pictures = [view.image for k in range(min(len(corpus), MOST)) for view in corpus[k].views]
+    columns = min(columns, len(pictures))
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
     blank = np.full_like(pictures[0], 255)
     sheet = np.concatenate(
         [np.concatenate(row + [blank] * (columns - len(row)), axis=1) for row in rows]
     )
-    data = cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+    data = cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 84])[1]
+    atomic.make_folder(Path(out).resolve().parent)
     atomic.replace(Path(out), data.tobytes())
     return Path(out)
 

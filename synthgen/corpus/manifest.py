@@ -22,7 +22,10 @@ MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
 
 def engine(config: Config) -> dict[str, Any]:
-    """Return what decides the bytes besides the config: model, back end, library versions."""
+    """Return what decides the bytes besides the config: model, back end, library versions.
+
+    The denoiser counts where one is asked for: ``oidn``, or ``auto``, which may find it missing.
+    """
     from synthgen.render import backend
 
     chosen = backend.resolve(config.render.variant)
@@ -31,7 +34,10 @@ def engine(config: Config) -> dict[str, Any]:
         "model_digest": load_hand(config.model.name, hand="right").digest,
         "variant": chosen,
         "llvm": backend.llvm_version(str(library)) if library else None,
-        "versions": {"synthgen": __version__, **backend.versions()},
+        "versions": {
+            "synthgen": __version__,
+            **backend.versions(denoiser=config.render.denoise != "none"),
+        },
     }
 
 
@@ -113,6 +119,9 @@ def _parquet(table: pa.Table) -> bytes:
 
 def _card(manifest: dict[str, Any], table: pa.Table) -> str:
     sides = table["hand"].to_pylist() if "hand" in table.column_names else []
+    licences = table["licence"].to_pylist() if "licence" in table.column_names else []
+    files = sorted({str(licence) for licence in licences if licence})
+    others = f"\nPictures and panoramas of others are in it, used under: {'; '.join(files)}.\n"
     return f"""---
 license: cc0-1.0
 task_categories: [keypoint-detection, depth-estimation]
@@ -132,4 +141,4 @@ left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1
 Hands of the `cc0-hand` model are CC0. Parameters and vertices of licensed models (MANO and
 others) fall under those models' licences: fields `spec.scene.subjects` and `keypoints_3d_m`.
 Shapes and poses are authored distributions, not measurements of people.
-"""
+{others if files else ""}"""

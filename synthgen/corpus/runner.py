@@ -25,7 +25,7 @@ from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.manifest import write_manifest
 from synthgen.corpus.plan import CLAIMS, read_plan, write_plan
 from synthgen.corpus.threads import single_threaded_children
-from synthgen.errors import CorpusError, WorkLeft
+from synthgen.errors import CorpusError, SynthgenError, WorkLeft
 from synthgen.render.renderer import RenderedView
 from synthgen.sampling.spec import SampleSpec
 
@@ -273,7 +273,7 @@ def _worker(config: Config, out: Path, todo: list[int], maker: Maker, results: A
         _work(config, out, todo, maker, results.put)
     except KeyboardInterrupt:
         raise SystemExit(0) from None
-    except CorpusError as error:
+    except SynthgenError as error:
         results.put(str(error))
         raise SystemExit(2) from None
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.corpus.columns import DEPTH_STEP_M, decode_exr, decode_image
 from synthgen.errors import CorpusError
+from synthgen.geometry.cameras import camera_from_K, pixel_rays
 from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject
@@ -149,10 +150,10 @@ class View:
     @cached_property
     def distance_m(self) -> NDArray[np.float32]:
         """Distance (H, W) from the camera's centre, metres, from the stored depth."""
-        K = self.camera.K
-        v, u = np.mgrid[: self.meta["height"], : self.meta["width"]]
-        x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-        return np.asarray(self.depth_z_m * np.sqrt(x * x + y * y + 1), dtype=np.float32)
+        c = self.camera
+        camera = camera_from_K(c.K, c.width, c.height, distortion=c.distortion)
+        along = pixel_rays(camera)[1][..., 2]
+        return np.asarray(self.depth_z_m / along, dtype=np.float32)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -172,12 +173,12 @@ class View:
 
     @cached_property
     def part_id(self) -> NDArray[np.uint8]:
-        """Parts (H, W): 0 none, 1-16 the hand's joints in MANO order, 17 forearm."""
+        """Parts (H, W): 1-16 the hand's joints, 17 forearm, 18 sleeve, 19 object, 0 none."""
         return self._image("labels", "part.png", 0)
 
     @cached_property
     def instance_id(self) -> NDArray[np.uint8]:
-        """Instances (H, W): 0 background, then subjects."""
+        """Instances (H, W): 0 background, then subjects, then ``objects``."""
         return self._image("labels", "instance.png", 0)
 
     @cached_property
@@ -218,6 +219,15 @@ class View:
     def hands(self) -> tuple[HandView, ...]:
         """Labels per hand, in the order of the sample's subjects."""
         return tuple(_hand(row) for row in self.meta["hands"])
+
+    @property
+    def objects(self) -> list[dict[str, Any]]:
+        """What is labelled beside hands: sleeves, rings, bracelets, watches, occluders.
+
+        Each has ``instance_id``, ``part_id``, ``kind``, ``subject`` (who wears it, -1 nobody), and
+        of what is seen of it ``box_xyxy`` and ``pixels``.
+        """
+        return list(self.meta["objects"])
 
     def _only(self) -> HandView:
         if len(self.hands) != 1:

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
-from synthgen.geometry.cameras import Camera, to_camera
+from synthgen.geometry.cameras import Camera, distort, to_camera
 
 NEAR_M = 1e-3
 
@@ -29,7 +29,8 @@ def rasterise(
         World, metres.
     faces : (F, 3) int
     camera : Camera
-        Without distortion.
+        Edges between distorted corners are drawn straight: with distortion, triangles must be
+        small, which is what drawn surfaces are (:func:`split` makes others so).
 
     Returns
     -------
@@ -43,15 +44,14 @@ def rasterise(
     Raises
     ------
     ShapeError
-        If the camera has distortion, or a triangle reaches behind the camera.
+        If a triangle reaches behind the camera.
     """
-    if any(camera.distortion):
-        raise ShapeError("the reference rasteriser takes cameras without distortion")
     local = to_camera(camera, vertices)
     triangles = np.asarray(faces, dtype=np.int64)
     if len(triangles) and local[triangles][..., 2].min() < NEAR_M:
         raise ShapeError(f"a triangle is nearer to the camera than {NEAR_M} m, or behind it")
-    xy = local[:, :2] / local[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    xy = distort(camera, local[:, :2] / local[:, 2:])
+    xy = xy * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     shape = (camera.height, camera.width)
     face_id = np.full(shape, -1, dtype=np.int32)
     barycentric = np.zeros((*shape, 3))
@@ -59,6 +59,17 @@ def rasterise(
     _draw(xy, 1.0 / local[:, 2], triangles, face_id, barycentric, inverse_depth)
     depth = np.divide(1.0, inverse_depth, out=np.zeros(shape), where=face_id >= 0)
     return face_id, barycentric, depth
+
+
+def split(vertices: NDArray[Any], faces: NDArray[Any], times: int = 1) -> tuple[Any, Any]:
+    """Split triangles into four flat ones, ``times`` over; corners stay, none are shared."""
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
+    for _ in range(times):
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
+from synthgen.geometry.rotations import matrix_from_axis_angle
 
 
 def apply(transform: NDArray[Any], points: NDArray[Any]) -> NDArray[np.float64]:
@@ -54,3 +55,12 @@ def look_at(
     T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     T[:3, 3] = position
     return T
+
+
+def turn_about(
+    centre: NDArray[Any], axis_angle: NDArray[Any], shift: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return rotation (3, 3) and translation (3,) of a turn about ``centre`` and a shift."""
+    rotation = matrix_from_axis_angle(axis_angle)
+    middle = np.asarray(centre, dtype=np.float64)
+    return rotation, middle - rotation @ middle + np.asarray(shift, dtype=np.float64)

@@ -159,4 +159,6 @@ def _atlas(
     a, b = ids[:, :-1], ids[:, 1:]
     first = np.stack([b[:-1], a[:-1], a[1:]], axis=-1).reshape(-1, 3)
     second = np.stack([b[:-1], a[1:], b[1:]], axis=-1).reshape(-1, 3)
-    return np.concatenate([charts, strip]), np.concatenate([hand_faces, first, second])
+    # Of either chart only the half that faces its way is used.
+    used, faces = np.unique(np.concatenate([hand_faces, first, second]), return_inverse=True)
+    return np.concatenate([charts, strip])[used], faces.reshape(-1, 3).astype(np.int64)

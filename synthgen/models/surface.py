@@ -106,34 +106,95 @@ def pose_surface(
     """
     betas = np.asarray(shape, dtype=np.float64)
     posed = model.evaluate(betas[None], np.asarray(pose)[None], np.asarray(translation)[None])
-    points, bones = _arm_bones(model, betas, posed, np.asarray(wrist), np.asarray(elbow))
-    blended = np.einsum("ab,bij->aij", model.surface.arm.weights, bones)
-    arm = np.einsum("aij,aj->ai", blended[..., :3], points) + blended[..., 3]
+    bones = arm_bones(model, betas, posed, np.asarray(wrist), np.asarray(elbow))
+    arm = bones.carry(bones.points, model.surface.arm.weights)
     return np.concatenate([posed.vertices[0], arm.astype(np.float32)]), posed
 
 
-def _arm_bones(
-    model: ManoModel, betas: Array, posed: Posed, wrist: Array, elbow: Array
-) -> tuple[Array, Array]:
-    """Rest points (A, 3) of the arm and the (3, 3, 4) maps of its three bones."""
+@dataclass(frozen=True, eq=False)
+class ArmBones:
+    """A posed arm: carries rest points along.
+
+    Attributes
+    ----------
+    points : (A, 3)
+        The arm's own rest points for this shape, metres.
+    root, axis : (3,)
+        Wrist joint in the rest pose, and the unit direction from it to the elbow.
+    length_m : float
+        From wrist to elbow.
+    twist : float
+        Turn of the elbow about the axis, radians.
+    maps : (3, 3, 4)
+        Hand, forearm (without its twist) and upper arm: rest to world.
+    """
+
+    points: Array
+    root: Array
+    axis: Array
+    length_m: float
+    twist: float
+    maps: Array
+
+    def along(self, points: Array) -> Array:
+        """Return how far points (n, 3) lie from the wrist along the arm, metres."""
+        return np.asarray((points - self.root) @ self.axis)
+
+    def carry(self, points: Array, weights: Array) -> Array:
+        """Pose rest points (n, 3) with weights (n, 3) of the three bones.
+
+        The forearm twists as radius and ulna do: nothing at the wrist's joint, all at the elbow,
+        evenly between, so that the skin neither wrings nor steps at the wrist.
+        """
+        share = np.clip(self.along(points) / self.length_m, 0.0, 1.0)
+        turned = self.root + _turn_about(points - self.root, self.axis, self.twist * share)
+        blended = np.einsum("ab,bij->aij", weights, self.maps)
+        return np.asarray(np.einsum("aij,aj->ai", blended[..., :3], turned) + blended[..., 3])
+
+
+def arm_bones(model: ManoModel, betas: Array, posed: Posed, wrist: Array, elbow: Array) -> ArmBones:
+    """Pose the arm's bones behind a posed hand (batch of one); arguments as :func:`pose_surface`.
+
+    The wrist's turn is taken apart into a twist about the forearm, which the elbow takes whole,
+    and the swing before it.
+    """
     arm = model.surface.arm
     n = len(betas)
-    points = arm.template + arm.shapedirs[..., :n] @ betas
     hinge = arm.elbow + arm.elbow_shapedirs[..., :n] @ betas
-    root_joint = model.shaped(betas)[1][0]
+    root = model.shaped(betas)[1][0]
+    length = float(np.linalg.norm(hinge - root))
+    axis = (hinge - root) / length
+    swing, twist = _swing_twist(matrix_from_axis_angle(wrist), axis)
     frame = posed.transforms[0, 0]
-    hand = frame[:3, :3]
-    fore = hand @ matrix_from_axis_angle(wrist)
-    upper = fore @ matrix_from_axis_angle(elbow)
-    at_wrist = frame[:3, 3]
-    at_elbow = at_wrist + fore @ (hinge - root_joint)
-    return points, np.stack(
-        [
-            _about(hand, root_joint, at_wrist),
-            _about(fore, root_joint, at_wrist),
-            _about(upper, hinge, at_elbow),
-        ]
-    )
+    hand, at_wrist = frame[:3, :3], frame[:3, 3]
+    fore = hand @ swing
+    turned = matrix_from_axis_angle(twist * axis)
+    # Points come twisted already: the upper arm takes that twist back before its own turn.
+    upper = fore @ turned @ matrix_from_axis_angle(elbow) @ turned.T
+    at_elbow = at_wrist + fore @ (hinge - root)
+    maps = [_about(hand, root, at_wrist), _about(fore, root, at_wrist),
+            _about(upper, hinge, at_elbow)]  # fmt: skip
+    points = arm.template + arm.shapedirs[..., :n] @ betas
+    return ArmBones(points, root, axis, length, twist, np.stack(maps))
+
+
+def _swing_twist(rotation: Array, axis: Array) -> tuple[Array, float]:
+    """Split a rotation into ``swing @ turn(axis, twist)``; the swing's axis is across ``axis``."""
+    moved = rotation @ axis
+    across = np.cross(axis, moved)
+    sine, cosine = float(np.linalg.norm(across)), float(axis @ moved)
+    turn = across * (np.arctan2(sine, cosine) / sine if sine > 1e-9 else 0.0)
+    swing = matrix_from_axis_angle(turn)
+    rest = swing.T @ rotation
+    spin = np.array([rest[2, 1] - rest[1, 2], rest[0, 2] - rest[2, 0], rest[1, 0] - rest[0, 1]])
+    return swing, float(np.arctan2(spin @ axis / 2, (np.trace(rest) - 1) / 2))
+
+
+def _turn_about(vectors: Array, axis: Array, angle: Array) -> Array:
+    """Turn vectors (n, 3) about a unit axis by an angle each (Rodrigues)."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    along = (vectors @ axis)[:, None] * axis
+    return np.asarray(along + c * (vectors - along) + s * np.cross(axis, vectors))
 
 
 def _about(rotation: Array, rest: Array, placed: Array) -> Array:

@@ -125,12 +125,11 @@ def report() -> dict[str, Any]:
     return found
 
 
-def versions() -> dict[str, str]:
+def versions(*, denoiser: bool = False) -> dict[str, str]:
     """Return versions of the libraries that decide the bytes of a plan or a render."""
-    names = (
-        "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-learn", "libigl",
-        "numba",
-    )  # fmt: skip
+    names = ["mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless"]
+    names += ["scikit-learn", "libigl", "numba"]
+    names += ["mitsuba-oidn"] if denoiser else []
     found = {}
     for name in names:
         try:

@@ -1,127 +1,104 @@
-"""Geometry and procedural texture of walls: one mesh of six quads, whatever the kind."""
+"""Where walls and floor are: quads of fixed count, whatever the background."""
 
 from __future__ import annotations
 
-import math
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, special
 
 from synthgen.geometry.cameras import Camera
-from synthgen.sampling.streams import stream
+from synthgen.sampling.lighting import room_box
 from synthgen.scene import Background
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
-TEXTURE_PX = 512
-QUADS = 6
+WALLS = 5
 # Corner order of a quad seen from its front: lower left, lower right, upper right, upper left.
-_UV = np.tile(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32), (QUADS, 1))
+_QUAD_UV = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
 _WALL_HALF_M = 6.0
-_WALL_REPEAT_M = 0.8
-_NOWHERE_M = np.array([0.0, -50.0, 0.0])
+_WALL_REPEAT_M, _FLOOR_REPEAT_M = 0.8, 1.2
+_GROUND_HALF_M = 60.0
+_NOWHERE_M = np.array([0.0, -60.0, 0.0])
 
 
-def wall_triangles() -> NDArray[np.uint32]:
-    """Triangles (12, 3) of the six quads."""
-    base = 4 * np.arange(QUADS)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
-    return np.asarray(base.reshape(-1, 3), dtype=np.uint32)
+def quads(count: int) -> NDArray[np.int64]:
+    """Triangles (2 count, 3) of quads of four vertices each."""
+    base = 4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+    return np.asarray(base.reshape(-1, 3), dtype=np.int64)
 
 
-def wall_geometry(background: Background, camera: Camera) -> tuple[Array, NDArray[np.float32]]:
-    """Corners (24, 3) of the six quads, world, metres, and their texture coordinates (24, 2).
+def wall_geometry(background: Background, camera: Camera) -> tuple[Array, Array]:
+    """Corners (20, 3) of five quads, world, metres, and their texture coordinates (20, 2).
 
-    A room uses all six as the inside of a box; a wall uses one, facing the camera, and hides the
-    others behind it; nothing has them shrunk to a point under the world.
+    A room uses them as its walls and its ceiling, which shows one texel; a wall uses one, facing
+    the camera, and hides the others behind it; other places have them at a point under the world.
     """
-    if background.kind == "empty":
-        return np.tile(_NOWHERE_M, (4 * QUADS, 1)), _UV
+    uv = np.tile(_QUAD_UV, (WALLS, 1))
+    if background.kind in ("empty", "outdoor"):
+        return np.tile(_NOWHERE_M, (4 * WALLS, 1)), uv
     if background.kind == "room":
-        corners = _room(np.array(background.centre_m), background.distance_m)
-        return corners, (_UV * 2 * background.distance_m / _WALL_REPEAT_M / 3).astype(np.float32)
-    corners = _wall(background, camera)
-    return corners, (_UV * 2 * _WALL_HALF_M / _WALL_REPEAT_M).astype(np.float32)
+        corners = _room(background)
+        for k in range(WALLS - 1):
+            quad = corners[4 * k : 4 * k + 4]
+            across, up = np.linalg.norm(quad[1] - quad[0]), np.linalg.norm(quad[3] - quad[0])
+            uv[4 * k : 4 * k + 4] *= np.array([across, up]) / (2 * _WALL_REPEAT_M)
+        uv[-4:] = 0.5
+        return corners, uv
+    if background.kind == "photo":
+        return _photo(background, camera), uv
+    return _wall(background, camera, _WALL_HALF_M, _WALL_HALF_M), (
+        uv * 2 * _WALL_HALF_M / _WALL_REPEAT_M
+    )
 
 
-def _wall(background: Background, camera: Camera) -> Array:
+def floor_geometry(background: Background) -> tuple[Array, Array]:
+    """Corners (4, 3) of the floor or ground at y = 0, and their texture coordinates (4, 2)."""
+    if background.kind == "room":
+        low, high = room_box(background)
+    elif background.kind == "outdoor":
+        centre = np.array(background.centre_m)
+        low, high = centre - _GROUND_HALF_M, centre + _GROUND_HALF_M
+    else:
+        return np.tile(_NOWHERE_M, (4, 1)), _QUAD_UV
+    flat = low[[0, 2]] + _QUAD_UV[:, [0, 1]] * (high - low)[[0, 2]]
+    corners = np.stack([flat[:, 0], np.zeros(4), flat[:, 1]], axis=1)[::-1]
+    return corners, corners[:, [0, 2]] / _FLOOR_REPEAT_M
+
+
+def _wall(background: Background, camera: Camera, half_x: float, half_y: float) -> Array:
     frame = camera.T[:3, :3]
     right, up, forward = frame[:, 0], -frame[:, 1], frame[:, 2]
     middle = np.array(background.centre_m)
     # Behind the point looked at, along the optical axis.
     middle = middle + forward * background.distance_m
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * _WALL_HALF_M
-    quad = middle + signs[:, :1] * right + signs[:, 1:] * up
+    signs = 2 * _QUAD_UV - 1
+    quad = middle + half_x * signs[:, :1] * right + half_y * signs[:, 1:] * up
     hidden = quad + forward * 0.5
-    return np.concatenate([quad, *[hidden] * (QUADS - 1)])
+    return np.concatenate([quad, *[hidden] * (WALLS - 1)])
 
 
-def _room(centre: Array, half: float) -> Array:
-    low, high = centre - half, centre + half
-    low[1] = 0.0
-    x0, y0, z0 = low
-    x1, y1, z1 = high
+def _photo(background: Background, camera: Camera) -> Array:
+    """Cover the frame with a picture, with a margin to shift it by ``crop``."""
+    away = np.array(background.centre_m) - camera.position
+    z = float(away @ camera.T[:3, 2]) + background.distance_m
+    half = 0.75 * np.array([camera.width / camera.fx, camera.height / camera.fy]) * z
+    half[:] = half.max()
+    quad = _wall(background, camera, float(half[0]), float(half[1]))
+    side, up = camera.T[:3, 0], -camera.T[:3, 1]
+    crop = 0.4 * (np.array(background.crop) - 0.5)
+    # The wall is centred under the point looked at; the frame is not.
+    centre = np.array(background.centre_m) + camera.T[:3, 2] * background.distance_m
+    seen = camera.position + camera.T[:3, 2] * z
+    return np.asarray(quad + (seen - centre) + half[0] * (crop[0] * side + crop[1] * up))
+
+
+def _room(room: Background) -> Array:
+    (x0, y0, z0), (x1, y1, z1) = room_box(room)
     return np.array(
         [
             [x0, y0, z0], [x1, y0, z0], [x1, y1, z0], [x0, y1, z0],
             [x1, y0, z1], [x0, y0, z1], [x0, y1, z1], [x1, y1, z1],
             [x0, y0, z1], [x0, y0, z0], [x0, y1, z0], [x0, y1, z1],
             [x1, y0, z0], [x1, y0, z1], [x1, y1, z1], [x1, y1, z0],
-            [x0, y0, z1], [x1, y0, z1], [x1, y0, z0], [x0, y0, z0],
             [x0, y1, z0], [x1, y1, z0], [x1, y1, z1], [x0, y1, z1],
         ]
     )  # fmt: skip
-
-
-def wall_texture(background: Background) -> Image:
-    """Tileable reflectance (512, 512, 3) float32, linear, from the background's seed."""
-    rng = stream(background.seed, "sample", 0, 0, "wall texture")
-    pattern = 0.15 * _cloud(rng, 24)
-    if background.kind != "plain":
-        pattern = pattern + _pattern(rng)
-    share = np.clip(pattern, 0, 1)[..., None]
-    first, second = (
-        np.array(c, np.float32) for c in (background.colour_rgb, background.accent_rgb)
-    )
-    grain = 1 + 0.05 * _cloud(rng, 2)[..., None]
-    return np.asarray(np.clip((first + share * (second - first)) * grain, 0.01, 0.95))
-
-
-def _pattern(rng: np.random.Generator) -> Image:
-    """Stripes, checks, tiles with joints, blotches or grain."""
-    kind = ("stripes", "checks", "tiles", "blotches", "grain")[rng.integers(5)]
-    steps = np.arange(TEXTURE_PX, dtype=np.float32) / TEXTURE_PX
-    y, x = steps[:, None], steps[None]
-    n = int(rng.integers(2, 9))
-    if kind == "stripes":
-        share = np.float32(rng.uniform(0.2, 0.6))
-        return 0.9 * ((x * n + 0.02 * _cloud(rng, 32)) % 1 < share).astype(np.float32)
-    if kind == "checks":
-        return np.asarray(0.9 * ((np.floor(x * 2 * n) + np.floor(y * 2 * n)) % 2), np.float32)
-    if kind == "tiles":
-        joint = ((x * n) % 1 < 0.04) | ((y * n) % 1 < 0.04)
-        return np.where(joint, np.float32(1), 0.12 * _cloud(rng, 48))
-    if kind == "blotches":
-        return np.asarray(special.expit(4 * _cloud(rng, int(rng.integers(8, 60)))))
-    streaks = rng.standard_normal((256, 8)).astype(np.float32)
-    wide = np.asarray(cv2.resize(streaks, (TEXTURE_PX,) * 2), np.float32)
-    return 0.4 + 0.3 * wide + 0.1 * _cloud(rng, 4)
-
-
-def _cloud(rng: np.random.Generator, size_px: int) -> Image:
-    """Tileable band-limited noise (512, 512) with unit standard deviation.
-
-    White noise under a Gaussian of ``2 size_px``, drawn as the few Fourier coefficients that pass.
-    """
-    width = TEXTURE_PX / (2 * size_px)
-    top = min(TEXTURE_PX // 2 - 1, math.ceil(3.5 * width))
-    fy, fx = np.arange(-top, top + 1), np.arange(top + 1)
-    drawn = rng.standard_normal((2 * top + 1, top + 1, 2), dtype=np.float32) @ [1, 1j]
-    drawn *= np.exp(-0.5 * (fx[None] ** 2 + fy[:, None] ** 2) / width**2)
-    drawn[top, 0] = 0  # no mean
-    spectrum = np.zeros((TEXTURE_PX, TEXTURE_PX // 2 + 1), dtype=np.complex64)
-    spectrum[fy, : top + 1] = drawn
-    noise = fft.irfft2(spectrum, s=(TEXTURE_PX, TEXTURE_PX))
-    return np.asarray(noise / noise.std(), dtype=np.float32)

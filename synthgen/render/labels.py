@@ -28,7 +28,7 @@ class Hits:
     Attributes
     ----------
     solid : (n,) int32
-        Index into the scene's solids (hands first, then the wall); 1000 + k for lamp k; -1 none.
+        Index into the scene's solids (hands come first); 1000 + k for lamp k; -1 none.
     prim : (n,) int64
         Drawn triangle, 0 for lamps.
     barycentric : (n, 3) float64
@@ -36,7 +36,7 @@ class Hits:
     distance_m : (n,) float64
         Along the unit ray, from its origin; 0 where nothing is hit.
     normal : (n, 3) float64
-        Unit, world, towards the origin; smooth on hands.
+        Unit, world, towards the origin; smooth where the mesh is.
     """
 
     solid: NDArray[np.int32]
@@ -60,7 +60,9 @@ class Labels:
     uv : (H, W, 2) float32
         Texture coordinates on hands, origin bottom left.
     part_id, instance_id : uint8
-        Part: 0 none, 1-16 the hand's joints, 17 forearm. Instance: 0 background, then subjects.
+        Part: 0 none, 1-16 the hand's joints, 17 forearm, 18 sleeve, 19 object. Instance: 0
+        background, then subjects, then what they wear and what is before them
+        (:func:`synthgen.scene.instances.objects_of`).
     face_id : int32
         Face of the model's surface, -1 off hands; ``barycentric`` (H, W, 3) float32 within it.
     valid : bool
@@ -88,8 +90,7 @@ def trace(live: LiveScene, origin: Array, directions: Array) -> Hits:
     dr.eval(found)  # one trace; every conversion below would repeat it otherwise
     registered = np.array(dr.reinterpret_array(mi.UInt32, found.shape))
     solid = np.full(len(directions), NOTHING, dtype=np.int32)
-    names = {f"hand{k}": k for k in range(len(live.models))}
-    names |= {"wall": len(live.models)}
+    names = {mesh.name: k for k, mesh in enumerate(live.solids)}
     names |= {f"lamp{k}": LAMP + k for k in range(live.n_lamps)}
     for name, number in names.items():
         pointer = mi.ShapePtr(live.shape(name))
@@ -136,6 +137,10 @@ def label_view(live: LiveScene, camera: Camera) -> Labels:
         part[own] = drawn.part(face[own], inside[own])
         uv[own] = drawn.texture(face[own], inside[own])
         instance[own] = k + 1
+    for k, mesh in enumerate(live.solids):
+        if mesh.instance is not None and mesh.part is not None:
+            own = np.flatnonzero(hits.solid == k)
+            instance[own], part[own] = mesh.instance[hits.prim[own]], mesh.part[hits.prim[own]]
     depth = hits.distance_m * (rays @ rotation[:, 2])
     return Labels(
         depth_z_m=depth.astype(np.float32).reshape(shape),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +10,21 @@ from numpy.typing import NDArray
 from synthgen.geometry.cameras import Camera
 from synthgen.models import ManoModel, Posed, load_hand, openpose21, pose_surface
 from synthgen.render import backend
+from synthgen.render.denoise import denoise
+from synthgen.render.diffusion import diffuse
 from synthgen.render.labels import Labels, label_view
+from synthgen.render.radiance import Film, Guides, mean_guides
 from synthgen.render.sensor import develop
-from synthgen.render.upload import LiveScene
+from synthgen.render.upload import LiveScene, Structure
 from synthgen.render.visibility import VISIBLE, HandLabels, label_hand
 from synthgen.sampling.spec import SampleSpec
-from synthgen.scene import HandSubject
+from synthgen.scene import HandSubject, Optics
 
 # A sample is rejected when a hand covers less of the picture, or shows fewer keypoints.
 SMALLEST_SHARE = 0.015
 FEWEST_VISIBLE = 4
+# Rays per pixel that look for albedo and normals.
+GUIDE_SPP = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +54,7 @@ class Renderer:
 
     def __init__(self, variant: str = "auto") -> None:
         self.variant = backend.activate(variant)
-        self._scenes: dict[Any, LiveScene] = {}
+        self._scenes: dict[Structure, LiveScene] = {}
 
     def render(self, spec: SampleSpec) -> list[RenderedView]:
         """Return labels and pictures of every view of a sample."""
@@ -95,23 +99,57 @@ class Renderer:
     ) -> list[RenderedView]:
         done = []
         for number, view in enumerate(views):
-            seed = (spec.render.seed + 7919 * number) % 2**31
-            linear = live.radiance(view.camera, spec.render.spp, spec.render.max_depth, seed)
-            image, exposure = develop(linear)
+            linear, guides = self._picture(live, spec, number, view)
+            albedo = None if guides is None else guides.albedo
+            image, exposure = develop(linear, spec.scene.sensor, albedo, number)
             done.append(replace(view, linear=linear, image=image, exposure=exposure))
         return done
+
+    def _picture(
+        self, live: LiveScene, spec: SampleSpec, number: int, view: RenderedView
+    ) -> tuple[NDArray[np.float32], Guides | None]:
+        """Trace one view, denoise it and spread light under the skin, as the spec says."""
+        scene, settings = spec.scene, spec.render
+        film = Film(live, view.camera, scene.optics[number] if scene.optics else Optics())
+        seed = (settings.seed + 7919 * number) % 2**31
+        guided = settings.denoise == "oidn" or settings.diffusion or scene.sensor.white_balance
+        steps = min(scene.motion.steps, settings.spp) if scene.motion is not None else 1
+        linear: NDArray[np.float32] | None = None
+        parts: list[Guides] = []
+        for step in range(steps):
+            if steps > 1:
+                live.move(scene, (step + 0.5) / steps - 0.5)
+            begin, end = step * settings.spp // steps, (step + 1) * settings.spp // steps
+            key = (seed + 15_485_863 * step) % 2**31
+            part = film.radiance(end - begin, settings.max_depth, key)
+            part = part * np.float32((end - begin) / settings.spp)
+            linear = part if linear is None else linear + part
+            if guided:
+                parts.append(film.guides(max(1, GUIDE_SPP // steps), key))
+        if steps > 1:
+            live.move(scene, 0.0)
+        assert linear is not None
+        guides = mean_guides(parts) if parts else None
+        if guides is not None and settings.denoise == "oidn":
+            linear = denoise(linear, guides)
+        sharp = steps == 1 and not any(o.aperture_m > 0 for o in scene.optics)
+        if guides is not None and settings.diffusion and sharp:  # blur hides it and mixes albedos
+            linear = diffuse(linear, guides.albedo, view.labels, view.camera)
+        return linear, guides
 
     def _upload(self, spec: SampleSpec) -> tuple[LiveScene, list[Posed]]:
         scene = spec.scene
         models = tuple(load_hand(s.model, hand=s.hand) for s in scene.subjects)
-        first = scene.cameras[0]
-        key = (tuple((m.digest, m.hand) for m in models), len(scene.lights.area), first.width,
-               first.height)  # fmt: skip
-        if key not in self._scenes:
-            self._scenes[key] = LiveScene(models, len(scene.lights.area), first.width, first.height)
-        live = self._scenes[key]
+        structure = Structure.of(scene, models, spec.render.quality)
         results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
-        live.update(scene, [surface for surface, _ in results])
+        surfaces = [surface for surface, _ in results]
+        if structure not in self._scenes:
+            self._scenes[structure] = LiveScene(models, structure)
+            # The first update turns what the loader left as literals into data: other kernels,
+            # other last bits. Nothing may be drawn before it.
+            self._scenes[structure].update(scene, surfaces)
+        live = self._scenes[structure]
+        live.update(scene, surfaces)
         return live, [posed for _, posed in results]
 
 

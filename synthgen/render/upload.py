@@ -8,56 +8,93 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.errors import RenderError
-from synthgen.geometry.cameras import Camera
 from synthgen.geometry.transforms import look_at
 from synthgen.models import ManoModel
-from synthgen.render import backend, background, skin
-from synthgen.scene import AreaLight, HandSubject, Scene
+from synthgen.render import backend, materials, sky, textures
+from synthgen.render.skin import material
+from synthgen.render.solids import (
+    Solid,
+    hand_solid,
+    place_solids,
+    thing_solids,
+    worn_solids,
+)
+from synthgen.scene import AreaLight, HandSubject, Lights, Scene
+from synthgen.scene.relief import relief_of
 from synthgen.scene.surface import DrawnSurface
 
 Array = NDArray[np.float64]
 
-# Mitsuba's cameras look along +z with +x to the left and +y up; ours are OpenCV's.
-_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
+@dataclass(frozen=True)
+class Structure:
+    """What decides the compiled kernels: everything else of a sample is data.
 
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """A triangle mesh as it stands in the scene: float32 values, kept in float64.
-
-    ``normals`` (V, 3) are unit vertex normals, or None for flat faces.
+    Attributes
+    ----------
+    hands : tuple of str
+        Side of each subject.
+    digests : tuple of str
+        Model of each subject.
+    n_lamps : int
+    surround : {"constant", "sky", "none"}
+    furnished : bool
+        Whether there are meshes for things and for what is worn.
+    quality : {"plain", "full"}
+        Of the skin's material.
+    picture_px : int
+        Longer side of the picture, which decides the size of the skin's textures.
     """
 
-    vertices: Array
-    triangles: NDArray[np.int64]
-    normals: Array | None
+    hands: tuple[str, ...]
+    digests: tuple[str, ...]
+    n_lamps: int
+    surround: str
+    furnished: bool
+    quality: str
+    picture_px: int
+
+    @staticmethod
+    def of(scene: Scene, models: tuple[ManoModel, ...], quality: str) -> Structure:
+        """Return the structure that a scene needs."""
+        dressed = any(s.sleeve is not None or s.bands for s in scene.subjects)
+        lit, first = scene.lights, scene.cameras[0]
+        dark = not any(lit.constant_rgb) and len(lit.area) > 0
+        return Structure(
+            hands=tuple(model.hand for model in models),
+            digests=tuple(model.digest for model in models),
+            n_lamps=len(lit.area),
+            surround="sky" if lit.sky is not None else "none" if dark else "constant",
+            furnished=quality == "full" or dressed or bool(scene.things),
+            quality="full" if any(s.skin.detail for s in scene.subjects) else "plain",
+            picture_px=max(first.width, first.height),
+        )
 
 
 class LiveScene:
-    """The uploaded scene of one structure: which hands, how many lamps, which picture size.
+    """The uploaded scene of one structure.
 
     Parameters
     ----------
     models : tuple of ManoModel
         One per subject, in order.
-    n_lamps : int
-        Number of area lights.
-    width, height : int
-        Pixels.
+    structure : Structure
     """
 
-    def __init__(self, models: tuple[ManoModel, ...], n_lamps: int, width: int, height: int):
+    def __init__(self, models: tuple[ManoModel, ...], structure: Structure) -> None:
         self.models = models
+        self.structure = structure
         self.drawn = tuple(DrawnSurface.for_model(model) for model in models)
-        self.n_lamps = n_lamps
+        self._look = (
+            structure.quality, material.atlas_size(structure.quality, structure.picture_px)
+        )  # fmt: skip
+        self.bumps: dict[str, Any] = {}
         self._mi: Any = backend.mitsuba()
-        self._scene = self._load(width, height)
+        self._scene = self._load()
         self._params = self._mi.traverse(self._scene)
         self.solids: list[Solid] = []
         self.lamps: list[Array] = []
-        self._skins: list[Any] = [None] * len(models)
-        self._wall: Any = None
+        self._filled: dict[str, Any] = {}
         self._shapes = {shape.id(): shape for shape in self._scene.shapes()}
 
     @property
@@ -65,67 +102,44 @@ class LiveScene:
         """The Mitsuba scene."""
         return self._scene
 
+    @property
+    def n_lamps(self) -> int:
+        """Number of area lights."""
+        return self.structure.n_lamps
+
     def shape(self, name: str) -> Any:
-        """Return an uploaded shape: ``hand0``..., ``wall`` or ``lamp0``..."""
+        """Return an uploaded shape by the name of its solid, or ``lamp0``..."""
         return self._shapes[name]
 
-    def _load(self, width: int, height: int) -> Any:
-        mi = self._mi
-        description: dict[str, Any] = {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {
-                "type": "perspective",
-                "fov": 40.0,
-                "fov_axis": "x",
-                "near_clip": 0.01,
-                "far_clip": 100.0,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": width,
-                    "height": height,
-                    "pixel_format": "rgb",
-                    "component_format": "float32",
-                    "rfilter": {"type": "box"},
-                },
-                "sampler": {"type": "independent"},
-            },
-            "surround": {"type": "constant", "radiance": {"type": "rgb", "value": [0.5] * 3}},
-        }
+    def _load(self) -> Any:
+        mi, structure = self._mi, self.structure
+        description: dict[str, Any] = {"type": "scene"}
+        if structure.surround == "constant":
+            description["surround"] = {
+                "type": "constant", "radiance": {"type": "rgb", "value": [0.5] * 3},
+            }  # fmt: skip
+        elif structure.surround == "sky":
+            grey = np.full((sky.HEIGHT_PX, sky.WIDTH_PX, 3), 0.5, dtype=np.float32)
+            description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(grey)}
         for k, drawn in enumerate(self.drawn):
-            description[f"hand{k}"] = self._mesh(
-                f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv, _skin_material(mi), True
+            skin = material.describe(mi, *self._look)
+            if "bump" in skin:
+                self.bumps[f"hand{k}"] = skin["bump"]
+            description[f"hand{k}"] = materials.mesh(
+                mi, f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv, skin, smooth=True
             )
-        wall_uv = np.zeros((4 * background.QUADS, 2), dtype=np.float32)
-        description["wall"] = self._mesh(
-            "wall", len(wall_uv), background.wall_triangles(), wall_uv, _wall_material(mi), False
-        )
-        for k in range(self.n_lamps):
+        description |= materials.place_meshes(mi)
+        if structure.furnished:
+            description |= materials.thing_meshes(mi)
+            for k in range(len(self.models)):
+                description |= materials.worn_meshes(mi, k)
+        for k in range(structure.n_lamps):
             description[f"lamp{k}"] = {
                 "type": "rectangle",
                 "to_world": mi.ScalarTransform4f().translate([0, 3 + k, 0]),
                 "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}},
             }
         return mi.load_dict(description)
-
-    def _mesh(
-        self, name: str, n: int, triangles: NDArray[np.uint32], uv: NDArray[np.float32],
-        material: dict[str, Any], smooth: bool,
-    ) -> Any:  # fmt: skip
-        mi = self._mi
-        properties = mi.Properties()
-        properties["mesh_bsdf"] = mi.load_dict(material)
-        mesh = mi.Mesh(
-            name, n, len(triangles), has_vertex_normals=smooth, has_vertex_texcoords=True,
-            props=properties,
-        )  # fmt: skip
-        params = mi.traverse(mesh)
-        params["faces"] = triangles.ravel()
-        params["vertex_positions"] = np.zeros(3 * n, dtype=np.float32)
-        params["vertex_texcoords"] = _flip_v(uv)
-        params.update()
-        mesh.set_id(name)
-        return mesh
 
     def update(self, scene: Scene, surfaces: list[NDArray[np.float32]]) -> None:
         """Put a sample into the scene.
@@ -138,121 +152,112 @@ class LiveScene:
         """
         self.solids = []
         for k, (subject, vertices) in enumerate(zip(scene.subjects, surfaces, strict=True)):
-            self._put_hand(k, subject, vertices)
-        self._put_wall(scene)
-        self._params["surround.radiance.value"] = self._colour(scene.lights.constant_rgb)
-        self.lamps = []
-        for k, lamp in enumerate(scene.lights.area):
-            self._put_lamp(k, lamp)
+            model = self.models[k]
+            relief = relief_of(model, subject.skin, np.array(subject.pose))
+            self.solids.append(hand_solid(k, self.drawn[k], vertices, relief))
+            self._colour_hand(k, subject)
+        self.solids += place_solids(scene)
+        self._colour_place(scene)
+        if self.structure.furnished:
+            for k, subject in enumerate(scene.subjects):
+                self.solids += worn_solids(scene, k, self.models[k], subject)
+                self._colour_worn(k, subject)
+            self.solids += thing_solids(scene)
+            self._colour_things(scene)
+        for solid in self.solids:
+            self._move(solid)
+        self._put_lights(scene.lights)
         self._params.update()
 
-    def _put_hand(self, k: int, subject: HandSubject, surface: NDArray[np.float32]) -> None:
-        drawn, model, name = self.drawn[k], self.models[k], f"hand{k}"
-        vertices, normals = drawn.draw(surface)
-        self._params[f"{name}.vertex_positions"] = vertices.ravel()
-        self._params[f"{name}.vertex_normals"] = normals.ravel()
-        if self._skins[k] != subject.skin:
-            self._skins[k] = subject.skin
-            albedo = skin.bake(model, subject.skin)
-            self._params[f"{name}.bsdf.base_color.data"] = self._mi.TensorXf(albedo)
-            self._params[f"{name}.bsdf.roughness.value"] = self._number(subject.skin.roughness)
-        self.solids.append(
-            Solid(vertices.astype(float), drawn.triangles.astype(np.int64), normals.astype(float))
-        )
+    def move(self, scene: Scene, share: float) -> None:
+        """Put subjects and what they wear at ``share`` (-1/2 .. 1/2) of the scene's motion."""
+        assert scene.motion is not None
+        for solid in self.solids:
+            if solid.worn_by >= 0:
+                self._move(solid.moved(scene.motion, share))
+        self._params.update()
 
-    def _put_wall(self, scene: Scene) -> None:
-        corners, uv = background.wall_geometry(scene.background, scene.cameras[0])
-        corners = corners.astype(np.float32)
-        self._params["wall.vertex_positions"] = corners.ravel()
-        self._params["wall.vertex_texcoords"] = _flip_v(uv)
-        if self._wall != scene.background and scene.background.kind != "empty":
-            self._wall = scene.background
-            texture = background.wall_texture(scene.background)
-            key = "wall.bsdf.brdf_0.reflectance.data"
-            self._params[key] = self._mi.TensorXf(texture)
-        triangles = background.wall_triangles().astype(np.int64)
-        self.solids.append(Solid(corners.astype(float), triangles, None))
+    def _move(self, solid: Solid) -> None:
+        name = solid.name
+        self._params[f"{name}.vertex_positions"] = solid.vertices.astype(np.float32).ravel()
+        if solid.normals is not None:
+            self._params[f"{name}.vertex_normals"] = solid.normals.astype(np.float32).ravel()
+        if solid.uv is not None:
+            self._params[f"{name}.vertex_texcoords"] = materials.flip_v(solid.uv)
+
+    def _is_new(self, name: str, value: Any) -> bool:
+        """Tell whether a texture must be filled again."""
+        new = name not in self._filled or self._filled[name] != value
+        self._filled[name] = value
+        return new
+
+    def _colour_hand(self, k: int, subject: HandSubject) -> None:
+        if self._is_new(f"hand{k}", subject.skin):
+            self._fill(f"hand{k}.bsdf", material.of_skin(self.models[k], subject.skin, *self._look))
+        self._fill(f"hand{k}.bsdf", material.of_pose(self.models[k], subject, *self._look))
+
+    def _colour_place(self, scene: Scene) -> None:
+        back = scene.background
+        if back.kind in ("empty", "outdoor") or not self._is_new("wall", back):
+            pass
+        elif back.kind == "photo":
+            self._fill("wall.bsdf", {materials.DIFFUSE: textures.photo_texture(back)})
+        else:
+            self._fill("wall.bsdf", {materials.DIFFUSE: textures.wall_texture(back)})
+        if back.kind in ("room", "outdoor") and self._is_new("floor", back):
+            self._fill("floor.bsdf", {materials.DIFFUSE: textures.floor_texture(back)})
+
+    def _colour_worn(self, k: int, subject: HandSubject) -> None:
+        if subject.sleeve is not None and self._is_new(f"sleeve{k}", subject.sleeve):
+            cloth = textures.sleeve_texture(subject.sleeve)
+            self._fill(f"sleeve{k}.bsdf", {materials.DIFFUSE: cloth})
+        if subject.bands and self._is_new(f"bands{k}", subject.bands):
+            values = zip(materials.GLOSSY, textures.bands_atlas(subject.bands), strict=True)
+            self._fill(f"bands{k}.bsdf", dict(values))
+
+    def _colour_things(self, scene: Scene) -> None:
+        tables = [t for t in scene.things if t.role == "support"]
+        if tables and self._is_new("table", tables[0]):
+            rough = np.full((2, 2, 1), tables[0].roughness, dtype=np.float32)
+            top = textures.table_texture(tables[0])
+            self._fill("table.bsdf", dict(zip(materials.GLOSSY, (top, rough), strict=False)))
+        if scene.things and self._is_new("things", scene.things):
+            both = textures.things_atlas(scene.things)
+            for name in ("boxes", "turned"):
+                self._fill(f"{name}.bsdf", dict(zip(materials.GLOSSY, both, strict=False)))
+
+    def _put_lights(self, lights: Lights) -> None:
+        if self.structure.surround == "constant":
+            self._params["surround.radiance.value"] = self._colour(lights.constant_rgb)
+        if lights.sky is not None and self._is_new("sky", lights.sky):
+            radiance = sky.padded(sky.radiance_of(lights.sky))
+            self._params["sky.data"] = self._mi.TensorXf(radiance)
+        self.lamps = []
+        for k, lamp in enumerate(lights.area):
+            self._put_lamp(k, lamp)
 
     def _put_lamp(self, k: int, lamp: AreaLight) -> None:
         position, target = np.array(lamp.position_m), np.array(lamp.target_m)
-        up = (0.0, 1.0, 0.0) if abs(_unit(target - position)[1]) < 0.99 else (1.0, 0.0, 0.0)
+        axis = (target - position) / np.linalg.norm(target - position)
+        up = (0.0, 1.0, 0.0) if abs(axis[1]) < 0.99 else (1.0, 0.0, 0.0)
         frame = look_at(position, target, up)
         self.lamps.append(frame)
         matrix = frame @ np.diag([lamp.size_m / 2] * 2 + [1.0, 1.0])
-        self._params[f"lamp{k}.to_world"] = self._transform(matrix)
+        transform = self._mi.Transform4f(matrix.astype(np.float32))
+        backend.drjit().make_opaque(transform)
+        self._params[f"lamp{k}.to_world"] = transform
         self._params[f"lamp{k}.emitter.radiance.value"] = self._colour(lamp.radiance_rgb)
 
-    def _number(self, value: float) -> Any:
+    def _fill(self, prefix: str, values: material.Values) -> None:
+        for key, value in values.items():
+            number = isinstance(value, float)
+            self._params[f"{prefix}.{key}"] = (
+                self._number(value) if number else self._mi.TensorXf(value)
+            )
+
+    def _number(self, value: Any) -> Any:
         """Pass a number as data: a literal would be compiled into the kernels."""
         return backend.drjit().opaque(self._mi.Float, float(value))
 
-    def _transform(self, matrix: Array) -> Any:
-        transform = self._mi.Transform4f(matrix.astype(np.float32))
-        backend.drjit().make_opaque(transform)
-        return transform
-
     def _colour(self, rgb: tuple[float, float, float]) -> Any:
         return self._mi.Color3f(*(self._number(value) for value in rgb))
-
-    def radiance(self, camera: Camera, spp: int, max_depth: int, seed: int) -> NDArray[np.float32]:
-        """Path-trace one view; (H, W, 3) float32, linear sRGB."""
-        mi = self._mi
-        _require_centred(camera)
-        fov = float(2 * np.rad2deg(np.arctan(camera.width / 2 / camera.fx)))
-        self._params["sensor.x_fov"] = self._number(fov)
-        self._params["sensor.to_world"] = self._transform(camera.T @ _FLIP)
-        self._params.update()
-        integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
-        key = backend.drjit().opaque(mi.UInt32, seed)
-        image = mi.render(self._scene, integrator=integrator, spp=spp, seed=key)
-        return np.array(image, dtype=np.float32)
-
-
-def _unit(v: Array) -> Array:
-    return v / np.linalg.norm(v)
-
-
-def _flip_v(uv: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mitsuba samples bitmaps with the first row at v = 0 for meshes filled by hand."""
-    flipped = uv.copy()
-    flipped[:, 1] = 1 - flipped[:, 1]
-    return flipped.ravel()
-
-
-def _skin_material(mi: Any) -> dict[str, Any]:
-    texture = np.full((skin.TEXTURE_PX, skin.TEXTURE_PX, 3), 0.4, dtype=np.float32)
-    return {
-        "type": "principled",
-        "base_color": _bitmap(mi, texture, "clamp"),
-        "roughness": {"type": "uniform", "value": 0.5},
-        "specular": 0.45,
-    }
-
-
-def _wall_material(mi: Any) -> dict[str, Any]:
-    n = background.TEXTURE_PX
-    texture = np.full((n, n, 3), 0.4, dtype=np.float32)
-    brdf = {"type": "diffuse", "reflectance": _bitmap(mi, texture, "repeat")}
-    return {"type": "twosided", "brdf": brdf}
-
-
-def _bitmap(mi: Any, texture: NDArray[np.float32], wrap: str) -> dict[str, Any]:
-    return {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(texture),
-        "filter_type": "bilinear",
-        "wrap_mode": wrap,
-        "raw": True,
-    }
-
-
-def _require_centred(camera: Camera) -> None:
-    centred = np.allclose(
-        [camera.cx, camera.cy], [camera.width / 2 - 0.5, camera.height / 2 - 0.5], atol=1e-6
-    )
-    if any(camera.distortion) or camera.fx != camera.fy or not centred:
-        raise RenderError(
-            f"camera fx={camera.fx} fy={camera.fy} cx={camera.cx} cy={camera.cy} distortion="
-            f"{camera.distortion}: quality 'plain' renders square pixels, a centred principal "
-            "point and no distortion"
-        )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,22 @@ from synthgen.errors import SamplingError
 from synthgen.geometry.cameras import Camera
 from synthgen.geometry.rotations import axis_angle_from_matrix
 from synthgen.models import ManoModel, load_hand, pose_surface
-from synthgen.sampling import lighting, orientation, placement
-from synthgen.sampling.appearance import sample_skin
+from synthgen.sampling import orientation, placement
+from synthgen.sampling.appearance import sample_skin, switched
+from synthgen.sampling.clothing import sample_wear
 from synthgen.sampling.hand_pose import prior_of, sample_hand_pose
 from synthgen.sampling.limits import limits_of
 from synthgen.sampling.penetration import probe_of
 from synthgen.sampling.shape import sample_shape
 from synthgen.sampling.spec import RenderSettings, SampleSpec
-from synthgen.sampling.streams import stream
-from synthgen.scene import Background, HandSubject, Lights, Scene, Skin
+from synthgen.sampling.stage import Stage
+from synthgen.sampling.streams import Streams, stream
+from synthgen.sampling.surroundings import surround
+from synthgen.scene import HandSubject, Scene, Skin
 from synthgen.scene.description import Hand, Vec3
+from synthgen.scene.wear import dress
 
 Array = NDArray[np.float64]
-Streams = Callable[[str], np.random.Generator]
 
 POSE_TRIES = 200
 PLACEMENT_TRIES = 32
@@ -68,20 +71,27 @@ def draw_sample(config: Config, index: int, attempt: int = 0) -> SampleSpec:
     hand = _side(config, streams("hand"))
     person = _person(config, index, streams("identity"))
     pose, source, depth = _pose(config, person.shape, index, streams("pose"))
-    placed = _place(config, person, hand, pose, index, streams)
-    light, background = _surroundings(config, placed, streams)
-    scene = Scene((placed.subject,), placed.cameras, light[1], background[1])
+    placed = _dressed(config, _place(config, person, hand, pose, index, streams), streams("wear"))
+    around = surround(config, placed.stage(), streams)
+    scene = Scene(
+        (placed.subject,), around.cameras, around.lights, around.background, around.things,
+        around.motion, around.optics, around.sensor,
+    )  # fmt: skip
     factors: dict[str, float | int | str] = {
         "hand": hand,
         "subject_id": person.subject_id,
         "skin_tone": round(person.tone, 6),
         "pose_source": source,
         "penetration_m": round(depth, 6),
-        "light": light[0],
-        "background": background[0],
         **placed.factors,
+        **around.factors,
+        "sleeve": int(placed.subject.sleeve is not None),
+        "bands": len(placed.subject.bands),
     }
-    return SampleSpec(index, attempt, scene, _render_settings(config, streams("render")), factors)
+    settings = _render_settings(config, streams("render"))
+    if config.render.quality == "full":
+        factors["denoise"] = settings.denoise
+    return SampleSpec(index, attempt, scene, settings, factors)
 
 
 def _side(config: Config, rng: np.random.Generator) -> Hand:
@@ -102,7 +112,8 @@ def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
     skin, tone = sample_skin(
         config.skin.tones, rng=stream(config.seed, "subject", subject_id, 0, "skin")
     )
-    return _Person(subject_id, shape, skin, tone)
+    varnish = stream(config.seed, "subject", subject_id, 0, "varnish")
+    return _Person(subject_id, shape, switched(skin, config.skin, rng=varnish), tone)
 
 
 def _pose(
@@ -132,6 +143,19 @@ class _Placed:
     cameras: tuple[Camera, ...]
     surface: Array
     factors: dict[str, float | int | str]
+
+    def stage(self) -> Stage:
+        """Return what other things must keep clear of: the subject with what it wears."""
+        model = load_hand(self.subject.model, hand=self.subject.hand)
+        worn = dress(model, self.subject)
+        meshes = [mesh.vertices for mesh in (worn.sleeve, *worn.bands) if mesh is not None]
+        n_hand = model.surface.n_hand_vertices
+        return Stage(np.concatenate([self.surface, *meshes]), n_hand, self.cameras)
+
+
+def _dressed(config: Config, placed: _Placed, rng: np.random.Generator) -> _Placed:
+    sleeve, bands = sample_wear(config.wear, rng=rng)
+    return replace(placed, subject=replace(placed.subject, sleeve=sleeve, bands=bands))
 
 
 def _place(
@@ -260,37 +284,19 @@ def surface_of(model: ManoModel, subject: HandSubject) -> Array:
     return np.asarray(surface, dtype=np.float64)
 
 
-def _surroundings(
-    config: Config, placed: _Placed, streams: Streams
-) -> tuple[tuple[str, Lights], tuple[str, Background]]:
-    light_rng, wall_rng = streams("light"), streams("background")
-    light = _choose(config.light.weights(), light_rng)
-    wall = _choose(config.background.weights(), wall_rng)
-    if wall == "room" and light == "constant":
-        light = "room"  # no surround shines into a closed room
-    centre = placed.surface.mean(axis=0)
-    eyes = np.array([np.array(c.T_world_from_camera)[:3, 3] for c in placed.cameras])
-    lights = lighting.sample_lights(light, centre, eyes[0], rng=light_rng)
-    subject_m = float(np.linalg.norm(centre - eyes[0]))
-    behind = placement.depth_behind(placed.surface, placed.cameras[0]) - subject_m
-    farthest = float(np.linalg.norm(eyes - centre, axis=1).max())
-    background = lighting.sample_background(wall, centre, behind, farthest, rng=wall_rng)
-    return (light, lights), (wall, background)
-
-
-def _choose(weights: dict[str, float], rng: np.random.Generator) -> str:
-    names = sorted(weights)
-    total = sum(weights.values())
-    if total <= 0:
-        raise SamplingError(f"all weights of {names} are 0; give at least one a positive weight")
-    edges = np.cumsum([weights[name] for name in names]) / total
-    return names[min(int(np.searchsorted(edges, rng.random(), side="right")), len(names) - 1)]
-
-
 def _render_settings(config: Config, rng: np.random.Generator) -> RenderSettings:
     return RenderSettings(
         quality=config.render.quality,
         spp=config.render.spp,
         max_depth=config.render.max_depth,
         seed=int(rng.integers(2**31)),
+        denoise=_denoiser(config.render.denoise),
+        diffusion=config.render.diffusion,
     )
+
+
+def _denoiser(wanted: str) -> str:
+    """Resolve ``auto``: the denoiser where it is installed, and an entry in the plan either way."""
+    if wanted != "auto":
+        return wanted
+    return "oidn" if find_spec("mitsuba_oidn") is not None else "none"

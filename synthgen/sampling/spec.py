@@ -10,12 +10,18 @@ from synthgen.scene import Scene, from_json, to_json
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What the renderer needs beyond the scene; ``quality`` names a preset (``plain``)."""
+    """What the renderer needs beyond the scene.
+
+    ``quality`` is ``plain`` or ``full``; ``denoise`` ``oidn`` or ``none``; ``diffusion`` spreads
+    light under the skin.
+    """
 
     quality: str
     spp: int
     max_depth: int
     seed: int
+    denoise: str = "none"
+    diffusion: bool = False
 
 
 @dataclass(frozen=True)

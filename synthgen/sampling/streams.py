@@ -8,6 +8,7 @@ leaves every other one as it was.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy as np
 from synthgen.errors import ShapeError
 
 Kind = Literal["corpus", "subject", "sample"]
+# One sample's streams by name.
+Streams = Callable[[str], np.random.Generator]
 
 
 def stream(seed: int, kind: Kind, ident: int, attempt: int, name: str) -> np.random.Generator:

@@ -48,9 +48,20 @@ class DrawnSurface:
         """Return the drawn surface of a model, built once per model and process."""
         return _build(model)
 
-    def refine(self, surface_vertices: NDArray[Any]) -> Array:
-        """Refine surface vertices (S, 3) into unsplit drawn vertices (n, 3), float64."""
-        return self._refine.apply(surface_vertices)
+    def refine(self, surface_vertices: NDArray[Any], relief: Array | None = None) -> Array:
+        """Refine surface vertices (S, 3) into unsplit drawn vertices (n, 3), float64.
+
+        ``relief`` (n,) moves each along its normal, metres (:mod:`synthgen.scene.relief`).
+        """
+        smooth = self._refine.apply(surface_vertices)
+        return smooth if relief is None else smooth + relief[:, None] * self._normals(smooth)
+
+    def spread(self, values: NDArray[Any]) -> Array:
+        """Carry attributes (S, m) of surface vertices over to the unsplit drawn ones, flat."""
+        return np.asarray(self._refine.linear @ values)
+
+    def _normals(self, vertices: Array) -> Array:
+        return unit(self._gather @ face_cross(vertices, self._refine.faces))
 
     @property
     def refined_faces(self) -> NDArray[np.int64]:
@@ -58,11 +69,14 @@ class DrawnSurface:
         return self._refine.faces
 
     def draw(
-        self, surface_vertices: NDArray[Any]
+        self, surface_vertices: NDArray[Any], relief: Array | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return render vertices and unit normals, (Vd, 3) float32 each, world, metres."""
-        vertices = self._refine.apply(surface_vertices)
-        normals = unit(self._gather @ face_cross(vertices, self._refine.faces))
+        """Return render vertices and unit normals, (Vd, 3) float32 each, world, metres.
+
+        ``relief`` as in :meth:`refine`.
+        """
+        vertices = self.refine(surface_vertices, relief)
+        normals = self._normals(vertices)
         return vertices[self.source].astype(np.float32), normals[self.source].astype(np.float32)
 
     def parent(

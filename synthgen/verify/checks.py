@@ -6,20 +6,20 @@ instead of Mitsuba, plain matrix products instead of the camera code that the re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from synthgen.corpus.columns import DEPTH_STEP_M
 from synthgen.corpus.sample import Sample, Subject, View
-from synthgen.geometry.cameras import Camera
-from synthgen.geometry.raster import rasterise
-from synthgen.models import pose_surface
-from synthgen.models.joints import OPENPOSE21_FROM_MANO21
+from synthgen.models.joints import OPENPOSE21_FROM_MANO21, OPENPOSE21_JOINT, PART_FOREARM
 from synthgen.sampling.limits import limits_of, violation
+from synthgen.scene.instances import objects_of
 from synthgen.scene.surface import DrawnSurface
+from synthgen.verify.redraw import Redrawn, redraw
 from synthgen.verify.report import VerifyReport
 
 Array = NDArray[np.float64]
@@ -29,56 +29,9 @@ MASK_SHARE = 0.001  # of silhouette pixels
 DEPTH_M = DEPTH_STEP_M / 2 + 2e-5
 NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
 BONE_M = (0.05, 0.13)
-
-
-@dataclass(frozen=True, eq=False)
-class Redrawn:
-    """A view drawn again by the reference rasteriser; hands only, (H, W, ...)."""
-
-    instance: NDArray[np.int64]
-    face: NDArray[np.int64]
-    barycentric: Array
-    depth_z_m: Array
-    surfaces: tuple[Array, ...]
-
-
-def redraw(sample: Sample, view: View) -> Redrawn:
-    """Draw every hand of a view from its stored parameters with the z-buffer."""
-    camera = sample.spec.scene.cameras[view.meta["view"]]
-    shape = (camera.height, camera.width)
-    instance, face = np.zeros(shape, np.int64), np.full(shape, -1, np.int64)
-    barycentric, depth = np.zeros((*shape, 3)), np.full(shape, np.inf)
-    surfaces = []
-    for number, subject in enumerate(sample.subjects, start=1):
-        drawn = DrawnSurface.for_model(subject.loaded)
-        vertices = drawn.refine(_surface(subject))
-        surfaces.append(vertices)
-        prim, weights, z = rasterise(*_in_front(vertices, drawn.refined_faces, camera))
-        nearer = (prim >= 0) & (z < depth)
-        instance[nearer], depth[nearer] = number, z[nearer]
-        front = _front_faces(vertices, drawn.refined_faces, camera)
-        face[nearer], barycentric[nearer] = drawn.parent(front[prim[nearer]], weights[nearer])
-    return Redrawn(instance, face, barycentric, np.where(instance, depth, 0), tuple(surfaces))
-
-
-def _surface(subject: Subject) -> NDArray[np.float32]:
-    s = subject.description
-    return pose_surface(
-        subject.loaded, subject.shape, subject.pose, subject.translation,
-        np.array(s.wrist), np.array(s.elbow),
-    )[0]  # fmt: skip
-
-
-def _front_faces(vertices: Array, faces: NDArray[np.int64], camera: Camera) -> NDArray[np.int64]:
-    """Faces wholly in front of the camera; an arm may pass behind it, out of the picture."""
-    z = (vertices - camera.position) @ camera.T[:3, 2]
-    return np.flatnonzero((z[faces] > 0.01).all(axis=1))
-
-
-def _in_front(
-    vertices: Array, faces: NDArray[np.int64], camera: Camera
-) -> tuple[Array, NDArray[np.int64], Camera]:
-    return vertices, faces[_front_faces(vertices, faces, camera)], camera
+FLESH = 2.2  # thickest flesh on the way to a joint, over the typical radius there
+# Red over blue of the bluest skylight; and the contrast that edges must have over chance.
+SKY_HUE, EDGE_GAIN = 0.6, 1.15
 
 
 def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
@@ -91,7 +44,7 @@ def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
 
     check_camera(measure, sample, view)
     check_keypoints(measure, sample, view, again)
-    check_masks(measure, view, again)
+    check_masks(measure, sample, view, again)
     check_depth(measure, view, again)
     check_surface(measure, sample, view, again)
     check_image(measure, sample, view)
@@ -104,7 +57,8 @@ def check_camera(measure: Any, sample: Sample, view: View) -> None:
     off = max(
         np.abs(stored.K - camera.K).max(), np.abs(stored.T_world_from_camera - camera.T).max()
     )
-    measure("camera", off, 1e-9, "stored K or T differs from the plan's")
+    off = max(off, float(np.abs(stored.distortion - np.array(camera.distortion)).max()))
+    measure("camera", off, 1e-9, "stored K, T or distortion differs from the plan's")
     R = stored.T_world_from_camera[:3, :3]
     skew = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     measure("camera rotation", skew, 1e-9, "T_world_from_camera is not rigid")
@@ -116,7 +70,7 @@ def check_keypoints(measure: Any, sample: Sample, view: View, again: Redrawn) ->
     for subject, hand in zip(sample.subjects, view.hands, strict=True):
         truth = _keypoints(subject)
         local = (truth - T[:3, 3]) @ T[:3, :3]
-        pixels = (local @ K.T)[:, :2] / local[:, 2:]
+        pixels = _projected(local, K, view.camera.distortion)
         error = np.linalg.norm(hand.keypoints_2d - pixels, axis=1).max()
         measure("keypoints_2d", error, REPROJECTION_PX, "px from the projected model keypoints")
         error = np.linalg.norm(hand.keypoints_3d - local, axis=1).max()
@@ -130,7 +84,14 @@ def check_keypoints(measure: Any, sample: Sample, view: View, again: Redrawn) ->
         limits = limits_of(subject.loaded)
         worst = violation(limits, subject.pose).max()
         measure("joint limits", worst, LIMIT_RAD, "rad beyond the joint limits")
-        check_states(measure, hand, pixels, local[:, 2], view, again)
+        check_states(measure, subject, hand, pixels, local[:, 2], view, again)
+
+
+def _projected(local: Array, K: Array, distortion: Array) -> Array:
+    """Project camera-frame points (n, 3) with OpenCV's own lens model."""
+    still = np.zeros(3)
+    pixels, _ = cv2.projectPoints(local[:, None], still, still, K, distortion)
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
 
 def _keypoints(subject: Subject) -> Array:
@@ -161,7 +122,7 @@ def chirality(keypoints: NDArray[Any], hand: str) -> float:
 
 
 def check_states(
-    measure: Any, hand: Any, pixels: Array, z: Array, view: View, again: Redrawn
+    measure: Any, subject: Subject, hand: Any, pixels: Array, z: Array, view: View, again: Redrawn
 ) -> None:
     """Out of the frame exactly where the projection is; visible only near the seen surface."""
     size = np.array([view.meta["width"], view.meta["height"]])
@@ -170,13 +131,17 @@ def check_states(
     wrong = np.sum((state == 0) & (margin > 0.01)) + np.sum((state > 0) & (margin < -0.01))
     measure("keypoint frame", wrong, 0, "keypoints whose out-of-frame state is wrong")
     column, row = np.clip(np.rint(pixels).astype(int), 0, size - 1).T
-    surface = again.depth_z_m[row, column]
-    on_hand = again.instance[row, column] > 0
-    deep = (state == 2) & on_hand & (z - surface > 0.06)
-    measure("visible too deep", deep.sum(), 0, "visible keypoints over 6 cm behind the surface")
+    # The farthest of the pixels around: a keypoint's ray passes between their centres.
+    surface = ndimage.maximum_filter(again.depth_z_m, 3)[row, column]
+    on_hand = again.face[row, column] >= 0
+    flesh = FLESH * subject.loaded.finger_radius[list(OPENPOSE21_JOINT)] + 0.01
+    deep = (state == 2) & on_hand & (z - surface > flesh)
+    measure("visible too deep", deep.sum(), 0, "visible keypoints farther in than flesh reaches")
+    hidden = ndimage.minimum_filter(again.covered, 5)[row, column]
+    measure("occlusion", np.sum((state == 2) & hidden), 0, "visible keypoints behind an object")
 
 
-def check_masks(measure: Any, view: View, again: Redrawn) -> None:
+def check_masks(measure: Any, sample: Sample, view: View, again: Redrawn) -> None:
     """Instances against the rasteriser, but for pixels hidden by the background or lamps."""
     mine, theirs = view.instance_id.astype(np.int64), again.instance
     silhouette = _edges(theirs)
@@ -184,9 +149,16 @@ def check_masks(measure: Any, view: View, again: Redrawn) -> None:
     hidden = (mine == 0) & (theirs > 0) & (view.depth_z_m < again.depth_z_m - 5e-3)
     differ &= ~(hidden & (view.depth_z_m > 0))
     allowed = max(MASK_SHARE * silhouette.sum(), 2)
-    measure("mask", differ.sum(), allowed, "pixels differ from the rasterised hand")
+    measure("mask", differ.sum(), allowed, "pixels differ from the rasterised subjects")
     part = view.part_id
     measure("part", np.sum((part > 0) != (mine > 0)), 0, "pixels with a part but no instance")
+    for found in objects_of(sample.spec.scene):
+        own = mine == found.instance_id
+        measure("object part", np.sum(own & (part != found.part_id)), 0,
+                f"pixels of a {found.kind} with another part")  # fmt: skip
+        stored = next(o for o in view.objects if o["instance_id"] == found.instance_id)
+        measure("object pixels", abs(stored["pixels"] - int(own.sum())), 0,
+                f"the stored pixel count of a {found.kind} differs")  # fmt: skip
 
 
 def _edges(mask: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -248,35 +220,53 @@ def _normal_error(view: View, inner: NDArray[np.bool_]) -> float:
 
 
 def check_image(measure: Any, sample: Sample, view: View) -> None:
-    """Check that the picture shows this hand: skin is red over blue, its outline an edge."""
-    hand = view.instance_id > 0
-    if hand.sum() < 50:
+    """Check that the picture shows this scene: skin is red over blue, edges where labels have."""
+    skin = (view.part_id > 0) & (view.part_id <= PART_FOREARM)
+    if skin.sum() < 50:
         return
-    mean = view.image[hand].astype(np.float64).mean(axis=0)
-    if min(_redness(sample)) > 1.1:
+    mean = view.image[skin].astype(np.float64).mean(axis=0)
+    if _redness(sample) > 1.1:
         measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
-    measure("stale image", -_edge_gain(view), -1.15, "no edge where the hand's outline is")
+    measure("stale image", -_edge_gain(view), -EDGE_GAIN, "no edges where the labels have theirs")
 
 
-def _redness(sample: Sample) -> list[float]:
-    """Red over blue of each subject's skin under each light, as the truth has it."""
-    lights = sample.spec.scene.lights
-    colours = [lights.constant_rgb, *(lamp.radiance_rgb for lamp in lights.area)]
-    light = min(c[0] / max(c[2], 1e-9) for c in colours if sum(c) > 0)
-    return [s.skin.dorsal_rgb[0] / s.skin.dorsal_rgb[2] * light
-            for s in sample.spec.scene.subjects]  # fmt: skip
+def _redness(sample: Sample) -> float:
+    """Least red over blue of the skins as the picture may show them, by the truth.
+
+    A camera that balances white leaves a quarter of the light's hue (in its logarithm), and its
+    own error.
+    """
+    scene = sample.spec.scene
+    colours = [scene.lights.constant_rgb, *(lamp.radiance_rgb for lamp in scene.lights.area)]
+    hues = [c[0] / max(c[2], 1e-9) for c in colours if sum(c) > 0]
+    hues += [SKY_HUE] if scene.lights.sky is not None else []
+    balanced = scene.sensor.white_balance
+    light = min(hues) ** (0.25 if balanced else 1.0)
+    error = scene.sensor.balance_error
+    skins = [s.skin.dorsal_rgb[0] / s.skin.dorsal_rgb[2] for s in scene.subjects]
+    return float(min(skins) * light * error[0] / error[2])
 
 
 def _edge_gain(view: View) -> float:
-    """Image contrast across the hand's outline over that across the same outline moved by 24 px."""
+    """Image contrast across the labels' edges over that across the same edges moved by 24 px."""
     grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
-    outline = np.argwhere(_edges(view.instance_id.astype(np.int64)))
+    edge = _edges(view.instance_id.astype(np.int64)) | _jumps(view)
+    outline = np.argwhere(edge)
     here = _contrast(grey, outline)
     moved = [
         _contrast(grey, outline + np.array(shift))
         for shift in ((24, 0), (-24, 0), (0, 24), (0, -24))
     ]
     return float(here / max(float(np.median(moved)), 1e-6))
+
+
+def _jumps(view: View) -> NDArray[np.bool_]:
+    """Where depth jumps by over 5 % between neighbours."""
+    z = np.log(np.maximum(view.depth_z_m, 1e-3))
+    jump = np.zeros(z.shape, dtype=bool)
+    jump[:, 1:] |= np.abs(z[:, 1:] - z[:, :-1]) > 0.05
+    jump[1:] |= np.abs(z[1:] - z[:-1]) > 0.05
+    return jump
 
 
 def _contrast(grey: Array, where: NDArray[np.int64]) -> float:

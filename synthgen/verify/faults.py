@@ -14,6 +14,7 @@ import numpy as np
 
 from synthgen.corpus import Corpus, open_corpus
 from synthgen.corpus.sample import Sample, View
+from synthgen.models.joints import PART_FOREARM, PART_SLEEVE
 from synthgen.verify.checks import check_view
 from synthgen.verify.report import VerifyReport
 
@@ -109,6 +110,44 @@ def _bgr(view: View) -> None:
 def _half_pixel_K(view: View) -> None:
     view.meta["K"][0][2] += 0.5
 
+
+def _objects_unlabelled(view: View) -> None:
+    """Things before the hand left out of the ids, as compositing does."""
+    known = view.instance_id <= len(view.meta["hands"])
+    view.__dict__["instance_id"] = np.where(known, view.instance_id, 0).astype(np.uint8)
+
+
+def _amodal(view: View) -> None:
+    """Draw the hand's mask through what covers it."""
+    covered = view.instance_id > len(view.meta["hands"])
+    view.__dict__["instance_id"] = np.where(covered, 1, view.instance_id).astype(np.uint8)
+
+
+def _sleeve_as_skin(view: View) -> None:
+    view.__dict__["part_id"] = np.where(view.part_id == PART_SLEEVE, PART_FOREARM, view.part_id)
+
+
+def _all_visible(view: View) -> None:
+    """Occlusion by things ignored."""
+
+    def change(hand: dict[str, Any]) -> None:
+        hand["keypoints_state"] = [2 if s else 0 for s in hand["keypoints_state"]]
+
+    _each_hand(view, change)
+
+
+def _distortion_forgotten(view: View) -> None:
+    view.meta["distortion"] = [0.0] * 5
+
+
+# Found only where things are worn or before the hand, and the lens distorts.
+OBJECT_FAULTS: dict[str, Fault] = {
+    "objects left out of the ids": _objects_unlabelled,
+    "masks through what covers them": _amodal,
+    "sleeve labelled as skin": _sleeve_as_skin,
+    "hidden keypoints called visible": _all_visible,
+    "distortion forgotten": _distortion_forgotten,
+}
 
 FAULTS: dict[str, Fault] = {
     "keypoints half a pixel off": _shift,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from synthgen.cli.generate import shard_range
+from synthgen.cli.main import main
 from synthgen.errors import ConfigError
 
 
@@ -17,3 +20,13 @@ def test_smoke() -> None:
 def test_edge_shards(text: str) -> None:
     with pytest.raises(ConfigError, match="--shards"):
         shard_range(text)
+
+
+def test_edge_a_missing_denoiser_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Found missing, it is said before anything is made; here an occupied folder ends the run."""
+    monkeypatch.setattr("synthgen.cli.generate.find_spec", lambda name: None)
+    (tmp_path / "mine.txt").write_text("not a corpus")
+    assert main(["generate", "hand_full", "--out", str(tmp_path), "--samples", "1"]) == 2
+    assert "synthgen[denoise]" in capsys.readouterr().err

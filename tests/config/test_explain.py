@@ -19,7 +19,7 @@ SCHEMA = Config.model_json_schema()
         ("subjects.count", "a whole number from 1 to 1000000000 or null"),
         ("camera.fov_deg", "a list of 2, each a number from 5 to 120"),
         ("model.hands", "one of both, left, right"),
-        ("render.quality", "plain"),
+        ("render.quality", "one of plain, full"),
         ("model.name", "a text"),
         ("render", ""),
         ("nothing.here", ""),

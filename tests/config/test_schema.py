@@ -83,7 +83,10 @@ def test_properties_columns_take_the_fixed_order() -> None:
 
 
 def test_properties_weights_by_name() -> None:
-    assert Config().light.weights() == {"constant": 0.2, "area": 0.5, "room": 0.3}
+    weights = Config().light.weights()
+    given = {name: weight for name, weight in weights.items() if weight}
+    assert given == {"constant": 0.2, "area": 0.5, "room": 0.3}
+    assert set(weights) - set(given) == {"lamp", "sky", "hdri"}
 
 
 def test_properties_json_round_trip() -> None:

@@ -28,10 +28,18 @@ KEYS = [
     "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",
     "pose.gmm_share", "pose.gmm_components", "pose.pca_components", "pose.penetration_limit_m",
     "orientation.mode", "orientation.cone_deg", "camera.views", "camera.fov_deg", "camera.fill",
-    "camera.offset", "light.constant", "light.area", "light.room", "background.plain",
-    "background.procedural", "background.room", "background.empty",
-    "skin.tones", "render.width", "render.height",
-    "render.spp", "render.quality", "render.max_depth", "render.variant", "corpus.shard_size",
+    "camera.offset", "light.constant", "light.area", "light.room", "light.lamp", "light.sky",
+    "light.hdri", "background.plain", "background.procedural", "background.room",
+    "background.empty", "background.outdoor", "background.photo", "things.furniture",
+    "things.support", "things.occluder", "wear.sleeve", "wear.ring", "wear.bracelet", "wear.watch",
+    "skin.tones", "skin.detail", "skin.relief_m", "skin.creases", "skin.veins", "skin.mottle",
+    "skin.freckles", "skin.sweat", "skin.varnish", "optics.distortion", "optics.defocus",
+    "optics.motion", "optics.motion_px", "sensor.exposure_ev", "sensor.white_balance",
+    "sensor.balance_error", "sensor.psf_px", "sensor.full_well", "sensor.read_e", "sensor.bayer",
+    "sensor.sharpen", "sensor.bloom", "sensor.jpeg", "files.hdri", "files.images",
+    "files.licence", "render.width", "render.height", "render.spp", "render.quality",
+    "render.max_depth", "render.denoise", "render.diffusion", "render.variant",
+    "corpus.shard_size",
     "corpus.columns", "corpus.jpeg_quality",
 ]  # fmt: skip
 _CONFIG = ["CONFIG"]
@@ -51,7 +59,7 @@ VERBS = {
     ],
     "show": ["DIR", "--sample", "--remake", "--json"],
     "verify": ["DIR", "--samples", "--report", "--json"],
-    "preview": ["DIR", "--out", "--json"],
+    "preview": ["DIR", "--out", "--sheet", "--json"],
     "bench": ["NAME", "--report", "--json"],
 }  # fmt: skip
 

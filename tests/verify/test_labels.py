@@ -12,7 +12,7 @@ from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
 from synthgen.verify import verify
 from synthgen.verify.checks import chirality
-from synthgen.verify.faults import FAULTS, caught
+from synthgen.verify.faults import FAULTS, OBJECT_FAULTS, caught
 from synthgen.verify.report import VerifyReport
 
 
@@ -37,6 +37,29 @@ def test_properties_every_known_defect_is_caught(corpus_path: Path, name: str) -
     corpus = open_corpus(corpus_path)
     hits = [caught(corpus, k, FAULTS[name]) for k in range(4)]
     assert all(hits), hits
+
+
+@pytest.fixture(scope="module")
+def full_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Everything that may hide a hand or bend the picture, in two rooms."""
+    out = tmp_path_factory.mktemp("full") / "c"
+    settings = [
+        "samples=2", "seed=2", "render.width=128", "render.height=128", "render.spp=2",
+        "render.denoise=none", "things.occluder=1", "wear.sleeve=1", "wear.ring=1",
+        "background.room=1000", "optics.distortion=0.1",
+    ]  # fmt: skip
+    generate(load_config("hand_full", settings), out, progress=False)
+    return out
+
+
+def test_properties_full_passes_and_its_defects_are_caught(full_path: Path) -> None:
+    corpus = open_corpus(full_path)
+    report = verify(full_path)
+    assert report.ok, report.failures[:3]
+    kinds = [{o["kind"] for o in sample.views[0].objects if o["pixels"]} for sample in corpus]
+    assert all("sleeve" in k and len(k) > 1 for k in kinds), kinds
+    for name, fault in {**FAULTS, **OBJECT_FAULTS}.items():
+        assert all(caught(corpus, k, fault) for k in range(2)), name
 
 
 def test_reference_no_fault_is_not_caught(corpus_path: Path) -> None:

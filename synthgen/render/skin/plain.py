@@ -14,6 +14,7 @@ from synthgen.geometry.raster import rasterise
 from synthgen.models import ManoModel
 from synthgen.sampling.streams import stream
 from synthgen.scene import Skin
+from synthgen.scene.transfer import masks_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -24,7 +25,7 @@ _NOISE_CELL_M = 0.006
 
 
 @dataclass(frozen=True, eq=False)
-class SkinMaps:
+class PlainMaps:
     """Per texel of one topology's atlas: masks and rest position; texels outside are filled.
 
     ``palm``, ``nail``, ``knuckle`` (n, n) in 0..1; ``position`` (n, n, 3) metres.
@@ -37,7 +38,7 @@ class SkinMaps:
 
 
 @lru_cache(maxsize=8)
-def maps_of(model: ManoModel) -> SkinMaps:
+def maps_of(model: ManoModel) -> PlainMaps:
     """Rasterise masks and rest positions of a model into its atlas, once per process."""
     surface = model.surface
     points = np.concatenate([model.v_template, surface.arm.template])
@@ -50,9 +51,10 @@ def maps_of(model: ManoModel) -> SkinMaps:
         image = np.einsum("hwk,hwk...->hw...", barycentric, corners)
         return np.asarray(image[near[0], near[1]])
 
-    return SkinMaps(
-        palm=spread(surface.mask_palm),
-        nail=spread(surface.mask_nail),
+    palm, nail = masks_of(model)
+    return PlainMaps(
+        palm=spread(palm),
+        nail=spread(nail),
         knuckle=spread(_knuckles(model, len(points))),
         position=spread(points),
     )

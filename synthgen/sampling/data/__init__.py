@@ -1,0 +1,1 @@
+"""Small tables that sampling needs, each with the script that made it."""

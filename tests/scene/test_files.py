@@ -1,0 +1,102 @@
+"""The user's pictures and panoramas: what is wrong with them is said before they are used."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+
+from synthgen.errors import FileError
+from synthgen.scene.files import candidates, checked, read_image, read_panorama
+
+
+def write_exr(path: Path, **planes: np.ndarray) -> Path:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, planes).write(str(path))
+    return path
+
+
+def panorama(path: Path, value: float = 0.5, shape: tuple[int, int] = (32, 64)) -> Path:
+    return write_exr(path, **{c: np.full(shape, value, np.float32) for c in "RGB"})
+
+
+def test_smoke_picture(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.full((40, 60, 3), (10, 128, 255), np.uint8))
+    picture = checked(path, "image", "CC0")
+    assert picture.licence == "CC0"
+    pixels = read_image(picture)
+    assert pixels.shape == (40, 60, 3)
+    np.testing.assert_allclose(pixels[0, 0], [1.0, 0.2158605, 0.003035], atol=1e-5)
+
+
+def test_smoke_panorama(tmp_path: Path) -> None:
+    picture = checked(panorama(tmp_path / "a.exr"), "panorama", "own work")
+    np.testing.assert_allclose(read_panorama(picture), 0.5, atol=1e-5)
+
+
+def test_smoke_jpeg_size_is_read_from_its_header(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), np.zeros((33, 47, 3), np.uint8))
+    assert read_image(checked(path, "image", "CC0")).shape == (33, 47, 3)
+
+
+def test_edge_folders(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"holds no \.jpg, \.jpeg, \.png file"):
+        candidates(str(tmp_path), "image")
+    with pytest.raises(FileError, match="neither a file nor a folder"):
+        candidates(str(tmp_path / "none"), "image")
+    (tmp_path / "b.png").write_bytes(b"x")
+    (tmp_path / "a.PNG").write_bytes(b"x")
+    candidates.cache_clear()
+    assert [p.name for p in candidates(str(tmp_path), "image")] == ["a.PNG", "b.png"]
+
+
+def test_edge_bomb_is_refused_from_its_header(tmp_path: Path) -> None:
+    path = tmp_path / "huge.png"
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + struct.pack(">II", 200_000, 200_000) + bytes(9)
+    )
+    with pytest.raises(FileError, match="200000 x 200000"):
+        checked(path, "image", "CC0")
+
+
+def test_edge_no_pictures(tmp_path: Path) -> None:
+    text, broken = tmp_path / "a.png", tmp_path / "b.png"
+    text.write_text("not a picture")
+    with pytest.raises(FileError, match="no PNG or JPEG"):
+        checked(text, "image", "CC0")
+    cv2.imwrite(str(broken), np.zeros((40, 40, 3), np.uint8))
+    broken.write_bytes(broken.read_bytes()[:60])
+    with pytest.raises(FileError, match="cannot be decoded"):
+        read_image(checked(broken, "image", "CC0"))
+
+
+def test_edge_odd_panoramas(tmp_path: Path) -> None:
+    flat = np.ones((32, 64), np.float32)
+    with pytest.raises(FileError, match="channels Y; a panorama needs R, G, B"):
+        checked(write_exr(tmp_path / "y.exr", Y=flat), "panorama", "CC0")
+    with pytest.raises(FileError, match="twice as wide"):
+        checked(panorama(tmp_path / "square.exr", shape=(64, 64)), "panorama", "CC0")
+    (tmp_path / "text.exr").write_text("no EXR")
+    with pytest.raises(FileError, match="no readable OpenEXR"):
+        checked(tmp_path / "text.exr", "panorama", "CC0")
+    for name, value in (("nan", np.nan), ("negative", -1.0), ("dark", 0.0)):
+        with pytest.raises(FileError, match="negative or no finite light"):
+            read_panorama(checked(panorama(tmp_path / f"{name}.exr", value), "panorama", "CC0"))
+
+
+def test_edge_changed_since_the_plan(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.zeros((40, 40, 3), np.uint8))
+    picture = checked(path, "image", "CC0")
+    cv2.imwrite(str(path), np.full((40, 40, 3), 9, np.uint8))
+    with pytest.raises(FileError, match="changed since the plan"):
+        read_image(picture)
+    path.unlink()
+    with pytest.raises(FileError, match="No such file"):
+        read_image(picture)
