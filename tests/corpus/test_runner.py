@@ -144,7 +144,7 @@ def test_edge_another_engine_is_refused(tmp_path: Path, monkeypatch: pytest.Monk
     out = make(tmp_path / "c")
     from synthgen.corpus import plan
 
-    monkeypatch.setattr(plan, "engine", lambda v, d: {"variant": "cuda_ad_rgb", "llvm": None,
+    monkeypatch.setattr(plan, "engine", lambda config: {"variant": "cuda_ad_rgb", "llvm": None,
                                                    "versions": {}})  # fmt: skip
     with pytest.raises(CorpusError, match=r"variant was llvm_ad_rgb, is cuda_ad_rgb"):
         make(out)

@@ -23,6 +23,7 @@ def bare(hand: ManoModel, path: Path) -> ManoModel:
     np.savez(
         path, v_template=hand.v_template, shapedirs=hand.shapedirs, posedirs=hand.posedirs,
         weights=hand.weights, J_regressor=hand.J_regressor, kintree_table=table, f=hand.faces,
+        hands_mean=hand.hands_mean, hands_components=hand.hands_components,
     )  # fmt: skip
     return load(path)
 

@@ -21,6 +21,7 @@ def written(hand: ManoModel, path: Path, vertices: np.ndarray) -> ManoModel:
     np.savez(
         path, v_template=vertices, shapedirs=hand.shapedirs, posedirs=hand.posedirs,
         weights=hand.weights, J_regressor=hand.J_regressor, kintree_table=table, f=hand.faces,
+        hands_mean=hand.hands_mean, hands_components=hand.hands_components,
     )  # fmt: skip
     return load(path)
 
