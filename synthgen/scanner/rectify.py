@@ -1,7 +1,7 @@
 """Rectification of a camera pair by its calibration: rows that correspond, disparity to depth.
 
 A scanner knows only its nominal calibration, so every function here takes nominal cameras; how far
-the true ones lead it astray is what :func:`epipolar_residual` measures.
+the true ones lead it astray is what :mod:`synthgen.scanner.calibration` measures.
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
-from synthgen.geometry.cameras import Camera, project, to_world, undistort
-from synthgen.geometry.normals import unit
+from synthgen.geometry.cameras import Camera, to_world, undistort
+from synthgen.scanner.calibration import rectifying_rotation
 
 Array = NDArray[np.float64]
-EPIPOLAR_LIMIT_PX = 0.4
-"""Beyond this the matcher loses points (half of them at 1.5 px): `notes/scanner_fusion.md` 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +103,8 @@ def rectify(left: Camera, right: Camera, target: NDArray[Any] | None = None) -> 
     length = float(np.linalg.norm(base))
     if length < 1e-6:
         raise ShapeError(f"the pair's centres are {length:.2g} m apart; a baseline is needed")
-    x = base / length
-    forward = left.T[:3, 2] + right.T[:3, 2]
-    z = unit(forward - x * (forward @ x))
     T = np.eye(4)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, :3] = rectifying_rotation(left, right)
     T[:3, 3] = left.position
     f = (left.fx + right.fx + left.fy + right.fy) / 4
     aim = np.zeros(3) if target is None else np.asarray(target, np.float64)
@@ -166,13 +161,3 @@ def rectified_pixels(pair: Rectified, side: int, pixels: NDArray[Any]) -> Array:
     local = rays @ camera.T[:3, :3].T @ pair.camera.T[:3, :3]
     centre = [pair.cx_right if side else pair.camera.cx, pair.camera.cy]
     return np.asarray(local[:, :2] / local[:, 2:] * pair.camera.fx + centre)
-
-
-def epipolar_residual(pair: Rectified, true: tuple[Camera, Camera], points: NDArray[Any]) -> Array:
-    """Row differences (N,), pixels, that true cameras leave between the nominal rectified views.
-
-    ``points`` (N, 3) are spread over the working volume, world, metres. The matcher searches along
-    rows: beyond an RMS of :data:`EPIPOLAR_LIMIT_PX` it needs ``rows`` of its settings.
-    """
-    rows = [rectified_pixels(pair, k, project(c, points)[0])[:, 1] for k, c in enumerate(true)]
-    return np.asarray(rows[0] - rows[1])

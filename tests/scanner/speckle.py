@@ -113,3 +113,23 @@ def rectified_view(surface: Surface, dot_m: float = 0.0008) -> tuple[Any, Any, A
     raw = [expose(photograph(surface, light, camera), rng) for camera in cameras]
     left, right = rectify_images(pair, (raw[0], raw[1]))
     return pair, left, right, true_disparity(surface, pair)
+
+
+def ring_of_grids(surface: Surface, azimuths: Any, elevations: Any) -> list[Any]:
+    """Range grids without error of pairs around the origin, 0.6 m away."""
+    from synthgen.scanner.match import DisparityGrid
+    from synthgen.scanner.range_grid import range_grid
+    from synthgen.scanner.rectify import rectify
+
+    K = np.array([[3243.0, 0, 160], [0, 3243.0, 160], [0, 0, 1]])
+    grids = []
+    for azimuth, elevation in [(a, e) for a in azimuths for e in elevations]:
+        a, e = np.deg2rad([azimuth, elevation])
+        eye = 0.6 * np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+        aside = 0.06 * np.array([np.cos(a), 0, -np.sin(a)])
+        poses = [look_at(eye + s * aside, np.zeros(3)) for s in (-1, 1)]
+        pair = rectify(*(camera_from_K(K, 321, 321, T) for T in poses))
+        d = true_disparity(surface, pair)[::3, ::3].astype(np.float32)
+        seen = np.where(np.isfinite(d), 1, 0).astype(np.float32)
+        grids.append(range_grid(pair, DisparityGrid(d, np.full_like(d, 0.01), seen, 3, (321, 321))))
+    return grids

@@ -12,7 +12,6 @@ from synthgen.errors import ShapeError
 from synthgen.geometry.cameras import project
 from synthgen.sampling.streams import stream
 from synthgen.scanner.rectify import (
-    epipolar_residual,
     rectified_pixels,
     rectify,
     rectify_images,
@@ -50,14 +49,6 @@ def test_reference_tables_invert_the_pixel_map() -> None:
         back = rectified_pixels(pair, side, np.stack([x.ravel(), y.ravel()], axis=1))
         rows, columns = np.mgrid[20:220, 20:300]
         assert np.abs(back - np.stack([columns.ravel(), rows.ravel()], 1)).max() < 1e-3
-
-
-def test_properties_epipolar_residual_sees_a_turned_camera() -> None:
-    left, right = pair_of_cameras()
-    assert np.abs(epipolar_residual(rectify(left, right), (left, right), POINTS)).max() < 1e-6
-    lifted = dataclasses.replace(right, cy=right.cy + 0.7)
-    residual = epipolar_residual(rectify(left, right), (left, lifted), POINTS)
-    assert residual.mean() == pytest.approx(-0.7, abs=0.01)
 
 
 def test_edge_bad_pairs() -> None:
