@@ -44,12 +44,13 @@ def save_scan(scan: Scan, path: str | Path) -> list[Path]:
 
 
 def ply_bytes(scan: Scan) -> bytes:
-    """Binary little-endian PLY: positions, normals, colours, ``s t``, and the provenance.
+    """Binary little-endian PLY: positions, normals, colours, provenance.
 
-    ``quality`` is the confidence, which MeshLab colours by. Readers skip what they do not know.
+    ``quality`` is the confidence, which MeshLab colours by. The texture coordinates are not called
+    ``s t``: readers would drop the colours for them. Readers skip what they do not know.
     """
     names = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("nx", "f4"), ("ny", "f4"), ("nz", "f4"),
-             ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("s", "f4"), ("t", "f4")]  # fmt: skip
+             ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("atlas_u", "f4"), ("atlas_v", "f4")]  # fmt: skip
     columns: list[NDArray[Any]] = [*scan.vertices.T, *scan.normals.T, *scan.colors.T, *scan.uv.T]
     for name, values in scan.provenance.items():
         kind = values.dtype.str[1:]
