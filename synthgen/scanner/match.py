@@ -17,6 +17,8 @@ Image = NDArray[np.float32]
 LARGEST_BEND = 0.02
 """Second derivatives of disparity beyond this, per pixel, are no surface: the correction stops."""
 
+COARSE, WIDE_PX, MARGIN_PX = 4, 128, 12
+
 
 @dataclass(frozen=True)
 class MatchSettings:
@@ -108,7 +110,7 @@ def match(
         raise ShapeError(f"pictures of shapes {left.shape} and {right.shape}; two equal (H, W)")
     if not bounds[0] < bounds[1]:
         raise ShapeError(f"disparity bounds {bounds} px; the lower one must come first")
-    seed = seed_disparity(left, right, bounds, settings)
+    seed = seed_disparity(left, right, narrowed(left, right, bounds, settings), settings)
     height, width = left.shape
     rows, columns = np.mgrid[0 : height : settings.step, 0 : width : settings.step]
     start = seed[:: settings.step, :: settings.step]
@@ -159,6 +161,35 @@ def seed_disparity(
     seed = np.full(left.shape, np.nan, np.float32)
     seed[crop] = np.where(mask[crop], found, np.nan)
     return seed
+
+
+def narrowed(
+    left: NDArray[Any], right: NDArray[Any], bounds: tuple[float, float], settings: MatchSettings
+) -> tuple[float, float]:
+    """Return the part of wide bounds that a look at quarter resolution finds used, with a margin.
+
+    The working volume's range is several times the subject's; the seed's cost grows with it.
+    """
+    if bounds[1] - bounds[0] <= WIDE_PX or min(left.shape) < 40 * COARSE:
+        return bounds
+    height, width = (n // COARSE for n in left.shape)
+    size = (width, height)
+    pictures = [
+        cv2.resize(image[: height * COARSE, : width * COARSE], size, interpolation=cv2.INTER_AREA)
+        for image in (np.asarray(left, np.float32), np.asarray(right, np.float32))
+    ]
+    mask = cv2.blur(pictures[0], (5, 5)) > settings.bright
+    count = int(np.ceil((bounds[1] - bounds[0]) / COARSE / 16 + 0.2)) * 16
+    low = int(np.floor(bounds[0] / COARSE)) - 1
+    pad = max(0, low + count) + 2, max(0, -low) + 2
+    whole = slice(0, height), slice(0, width)
+    found = _semi_global(*(_window(p, whole, pad, 1) for p in pictures), low, count, 5)
+    used = found[:, pad[0] : pad[0] + width][mask]
+    used = used[np.isfinite(used)] * COARSE
+    if len(used) < 0.1 * mask.sum() or len(used) < 50:
+        return bounds
+    near, far = np.quantile(used, [0.002, 0.998])
+    return max(bounds[0], float(near) - MARGIN_PX), min(bounds[1], float(far) + MARGIN_PX)
 
 
 def lit(left: NDArray[Any], settings: MatchSettings) -> NDArray[np.bool_]:
