@@ -50,7 +50,8 @@ def ply_bytes(scan: Scan) -> bytes:
     ``s t``: readers would drop the colours for them. Readers skip what they do not know.
     """
     names = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("nx", "f4"), ("ny", "f4"), ("nz", "f4"),
-             ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("atlas_u", "f4"), ("atlas_v", "f4")]  # fmt: skip
+             ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+             ("atlas_u", "f4"), ("atlas_v", "f4")]  # fmt: skip
     columns: list[NDArray[Any]] = [*scan.vertices.T, *scan.normals.T, *scan.colors.T, *scan.uv.T]
     for name, values in scan.provenance.items():
         kind = values.dtype.str[1:]

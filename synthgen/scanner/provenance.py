@@ -80,7 +80,7 @@ def measured_by(vertices: Array, grids: Sequence[RangeGrid], reach_m: float) -> 
 
 def _sample_of(vertices: Array, grid: RangeGrid) -> tuple[Any, Any, Any, Array]:
     """Nearest sample of a grid to each vertex: inside, row, column, depth of the vertex."""
-    c = grid.pair.camera
+    c = grid.camera
     local = to_camera(c, vertices)
     z = np.maximum(local[:, 2], 1e-6)
     column = np.rint((c.fx * local[:, 0] / z + c.cx) / grid.step).astype(np.int64)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.geometry.cameras import to_world
+from synthgen.geometry.cameras import Camera, to_camera, to_world
 from synthgen.geometry.normals import unit
+from synthgen.scanner.glass import seen_position, shifted_origins, thickness_for
 from synthgen.scanner.match import DisparityGrid
 from synthgen.scanner.rectify import Rectified
+from synthgen.scanner.rig import Glass
 
 Array = NDArray[np.float64]
 
@@ -42,17 +44,19 @@ ROUGH = GridSettings(jump_px=2.0, erode=0, facing=0.1)
 
 @dataclass(frozen=True, eq=False)
 class RangeGrid:
-    """Oriented points of one unit, in the pair's frame; rows and columns as the disparity grid's.
+    """Oriented points of one unit; rows and columns as the disparity grid's.
 
     Attributes
     ----------
-    pair : Rectified
+    camera : Camera
+        The rectified left view, moved to where it seems to stand where it looks through glass;
+        points and normals are in its frame, and nearly project to their own samples.
     step : int
         Pixels between samples.
-    depth_z_m : (h, w) float64
+    points : (h, w, 3) float64
         NaN where nothing is known.
     normals : (h, w, 3) float64
-        Unit, towards the camera; NaN with the depth.
+        Unit, towards the camera; NaN with the points.
     facing : (h, w) float64
         Cosine of normal and line of sight.
     sigma_m : (h, w) float64
@@ -60,13 +64,18 @@ class RangeGrid:
     correlation : (h, w) float32
     """
 
-    pair: Rectified
+    camera: Camera
     step: int
-    depth_z_m: Array
+    points: Array
     normals: Array
     facing: Array
     sigma_m: Array
     correlation: NDArray[np.float32]
+
+    @property
+    def depth_z_m(self) -> Array:
+        """(h, w) depth along the pair's axis."""
+        return self.points[..., 2]
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -75,34 +84,38 @@ class RangeGrid:
 
     def world_points(self) -> Array:
         """Return points (n, 3) where known, in the rig's frame, metres."""
-        return to_world(self.pair.camera, _local(self.pair, self.step, self.depth_z_m)[self.known])
+        return to_world(self.camera, self.points[self.known])
 
     def world_normals(self) -> Array:
         """Return unit normals (n, 3) where known, in the rig's frame."""
-        return np.asarray(self.normals[self.known] @ self.pair.camera.T[:3, :3].T)
+        return np.asarray(self.normals[self.known] @ self.camera.T[:3, :3].T)
 
 
 def range_grid(
-    pair: Rectified, grid: DisparityGrid, settings: GridSettings | None = None
+    pair: Rectified,
+    grid: DisparityGrid,
+    settings: GridSettings | None = None,
+    glass: Glass | None = None,
 ) -> RangeGrid:
-    """Triangulate and filter one unit's disparities."""
+    """Triangulate and filter one unit's disparities; ``glass`` is what it may look through."""
     limits = settings or GridSettings()
-    disparity = _without_edges(grid.disparity, limits)
-    depth = pair.depth(disparity.astype(np.float64))
-    points = _local(pair, grid.step, depth)
+    disparity = _without_edges(grid.disparity, limits).astype(np.float64)
+    rows, columns = np.indices(disparity.shape) * grid.step
+    world = triangulate(pair, columns, rows, disparity, glass)
+    camera = _seeming(pair.camera, world, glass)
+    points = to_camera(camera, world)
     normals = _normals(points)
     sight = unit(np.nan_to_num(-points))
     facing = np.einsum("hwk,hwk->hw", normals, sight)
     keep = np.isfinite(facing) & (facing > limits.facing)
-    depth = np.where(keep, depth, np.nan)
-    per_px = depth**2 / (pair.camera.fx * pair.baseline_m)
+    per_px = points[..., 2] ** 2 / (pair.camera.fx * pair.baseline_m)
     return RangeGrid(
-        pair=pair,
+        camera=camera,
         step=grid.step,
-        depth_z_m=depth,
+        points=np.where(keep[..., None], points, np.nan),
         normals=np.where(keep[..., None], normals, np.nan),
         facing=np.where(keep, facing, np.nan),
-        sigma_m=grid.sigma * per_px,
+        sigma_m=np.where(keep, grid.sigma * per_px, np.nan),
         correlation=grid.correlation,
     )
 
@@ -117,10 +130,39 @@ def _without_edges(disparity: NDArray[np.float32], limits: GridSettings) -> NDAr
     return np.where(calm, disparity, np.nan).astype(np.float32)
 
 
-def _local(pair: Rectified, step: int, depth: NDArray[Any]) -> Array:
-    c = pair.camera
-    rows, columns = np.indices(depth.shape) * step
-    return np.stack([(columns - c.cx) / c.fx * depth, (rows - c.cy) / c.fy * depth, depth], axis=-1)
+def triangulate(
+    pair: Rectified, x: NDArray[Any], y: NDArray[Any], disparity: Array, glass: Glass | None = None
+) -> Array:
+    """World points (..., 3) of rectified left pixels with disparities, through glass if need be.
+
+    Through glass rays keep their directions but not their origins, and miss each other a little:
+    the middle between them is returned.
+    """
+    straight = pair.points(x, y, disparity)
+    eyes = pair.left.position, pair.right.position
+    if glass is None or not any(thickness_for(glass, eye) for eye in eyes):
+        return straight
+    known = np.isfinite(disparity)
+    ways = [unit(straight[known] - eye) for eye in eyes]
+    a, b = (shifted_origins(glass, eye, way) for eye, way in zip(eyes, ways, strict=True))
+    u, v = ways
+    cross = np.cross(u, v)
+    area = np.einsum("nk,nk->n", cross, cross)
+    s = np.einsum("nk,nk->n", np.cross(b - a, v), cross) / area
+    t = np.einsum("nk,nk->n", np.cross(b - a, u), cross) / area
+    straight[known] = (a + s[:, None] * u + b + t[:, None] * v) / 2
+    return straight
+
+
+def _seeming(camera: Camera, world: Array, glass: Glass | None) -> Camera:
+    """Where a camera seems to stand for the middle of what it sees."""
+    known = np.isfinite(world[..., 0])
+    if glass is None or not known.any():
+        return camera
+    T = camera.T
+    T[:3, 3] = seen_position(glass, camera.position, world[known].mean(axis=0)[None])[0]
+    rows = tuple(tuple(float(v) for v in row) for row in T)
+    return replace(camera, T_world_from_camera=rows)
 
 
 def _normals(points: Array) -> Array:

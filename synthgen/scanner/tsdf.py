@@ -147,7 +147,7 @@ def _observe(
     def opaque(value: float) -> Any:
         return dr.opaque(mi.Float, float(value))
 
-    camera = grid.pair.camera
+    camera = grid.camera
     R = camera.T[:3, :3]
     start = (origin - camera.position) @ R  # float64 here, small numbers on the lanes
     q = [
@@ -160,24 +160,19 @@ def _observe(
     v = dr.round((opaque(camera.fy) * q[1] / q[2] + opaque(camera.cy)) / step)
     seen = (q[2] > 0) & (u >= 0) & (v >= 0) & (u < opaque(columns)) & (v < opaque(rows))
     index = mi.UInt32(dr.select(seen, v * opaque(columns) + u, 0))
-    known = np.nan_to_num(grid.depth_z_m).astype(np.float32)
-    z = dr.gather(mi.Float, mi.Float(known.ravel()), index, seen)
-    seen &= z > 0
-    normal = [
-        dr.gather(
-            mi.Float, mi.Float(np.nan_to_num(grid.normals[..., k]).astype(np.float32).ravel()),
-            index, seen,
-        )
-        for k in range(3)
-    ]  # fmt: skip
-    px = (u * step - opaque(camera.cx)) / opaque(camera.fx) * z
-    py = (v * step - opaque(camera.cy)) / opaque(camera.fy) * z
-    distance = normal[0] * (q[0] - px) + normal[1] * (q[1] - py) + normal[2] * (q[2] - z)
+
+    def gathered(values: NDArray[Any]) -> Any:
+        table = mi.Float(np.nan_to_num(values).astype(np.float32).ravel())
+        return dr.gather(mi.Float, table, index, seen)
+
+    point = [gathered(grid.points[..., k]) for k in range(3)]
+    normal = [gathered(grid.normals[..., k]) for k in range(3)]
+    z = point[2]
+    away = [q[k] - point[k] for k in range(3)]
+    distance = sum((normal[k] * away[k] for k in range(3)), start=mi.Float(0))
     # The line of sight must not have left the sample's neighbourhood either.
-    seen &= (dr.abs(distance) <= reach) & (dr.abs(q[2] - z) <= 3 * reach)
-    facing = dr.gather(
-        mi.Float, mi.Float(np.nan_to_num(grid.facing).astype(np.float32).ravel()), index, seen
-    )
+    seen &= (z > 0) & (dr.abs(distance) <= reach) & (dr.abs(away[2]) <= 3 * reach)
+    facing = gathered(grid.facing)
     share = facing * dr.square(opaque(np.nanmedian(grid.depth_z_m)) / dr.maximum(z, 1e-3))
     behind = dr.select(distance < 0, dr.maximum(1 + distance / reach, 0), 1)
     return distance, dr.select(seen, share * behind, 0)
