@@ -1,4 +1,11 @@
-"""What a unit's cameras record of a scene under speckle, in counts."""
+"""What a unit's cameras record of a scene under speckle, in counts.
+
+>>> stage = prepare(scene, rig, rng=rng)      # once per scan  # doctest: +SKIP
+>>> shot = expose(stage, rig.units[0])        # any unit, in any order  # doctest: +SKIP
+
+All randomness of a scan hangs on one key that ``prepare`` draws; every unit and camera has its own
+stream under it, so that the order of exposures does not matter.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.scanner.rig import Unit
+from synthgen.geometry.cameras import project
+from synthgen.sampling.streams import stream
+from synthgen.scanner.camera import radiance, region, shutter_of
+from synthgen.scanner.rig import Role, Sensor, Unit
+from synthgen.scanner.sensor import Image, automatic_gain, counts, fixed_pattern, optical
+from synthgen.scanner.softlight import SoftLight, soft_light
+from synthgen.scanner.stage import Stage
+
+SPP = 4
+ROLES: tuple[Role, Role, Role] = ("left", "right", "colour")
+# Poses per exposure of solids that do not move as one.
+_POSES = 4
+# Below this share of the ambient light there is no speckle to speak of.
+_BLACK = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,8 +40,6 @@ class Exposure:
     unit : Unit
     left, right : (H, W) uint8 or uint16
         Raw counts (distorted, not rectified), ``rig.grey.bits`` deep.
-    colour : (H, W, 3) uint8 or None
-        sRGB under white light, raw geometry of the colour camera.
     time_s : float
         Middle of the exposure against the reference (unsynchronised units, slots).
     gain : float
@@ -33,17 +51,136 @@ class Exposure:
     unit: Unit
     left: NDArray[Any]
     right: NDArray[Any]
-    colour: NDArray[np.uint8] | None
     time_s: float
     gain: float
     problem: str | None
 
 
-# The contract, being built:
-#   stage = prepare(scene, rig, *, rng, effects=Effects())     uploads, bakes; once per scan
-#   shot = expose(stage, unit, *, rng) -> Exposure
-#   see(stage, camera, pixels, *, time_s) -> Sight             truth, synthgen/scanner/truth.py
-# where ``camera`` is a *true* camera of the unit, ``pixels`` (n, 2) raw pixel positions (x, y), and
-#   Sight.solid (n,) -1 nothing; .face (n,) row of solid.faces; .barycentric (n, 3);
-#   .point_m (n, 3) float64 rig frame; .depth_z_m (n,) along the camera's axis, 0 nothing
-#   seen_from(stage, camera, points_m, *, time_s) -> (n,) bool  nothing between point and camera
+def unit_time(stage: Stage, unit: Unit) -> float:
+    """Return when a unit exposes: its slot, and by how much it misses it in this scan."""
+    rng = stream(stage.key, "sample", unit.index, 0, "sync")
+    late = rng.uniform(-1.0, 1.0) * stage.rig.sync_s
+    return unit.slot * stage.rig.slot_s + float(late)
+
+
+def expose(stage: Stage, unit: Unit, *, spp: int = SPP) -> Exposure:
+    """Take the speckle pictures of one unit.
+
+    Parameters
+    ----------
+    stage : Stage
+        Of :func:`synthgen.scanner.stage.prepare`.
+    unit : Unit
+        Of the stage's rig.
+    spp : int
+        Sub-samples per pixel, a square number. Fewer than 4 make noise of their own.
+
+    Returns
+    -------
+    Exposure
+        With ``problem`` set where the pictures are of no use.
+    """
+    time = unit_time(stage, unit)
+    sensor = stage.rig.grey
+    seen = [
+        optical(speckle_radiance(stage, unit, role, spp=spp), sensor, unit.true.camera(role))
+        for role in ROLES[:2]
+    ]
+    gain = sensor.gain or automatic_gain(seen, stage.rig.light.background, sensor.auto_target)
+    left, right = (
+        digitised(stage, unit, role, picture, sensor, gain or 1.0)
+        for picture, role in zip(seen, ROLES[:2], strict=True)
+    )
+    problem = _problem(stage, unit, time, seen, left, sensor)
+    return Exposure(unit, left, right, time, gain or 1.0, problem)
+
+
+def digitised(
+    stage: Stage, unit: Unit, role: Role, picture: Image, sensor: Sensor, gain: float
+) -> NDArray[Any]:
+    """Return counts of one camera with its own fixed pattern and noise stream."""
+    camera = 3 * unit.index + ROLES.index(role)
+    fixed = fixed_pattern(stage.rig.seed, camera, *picture.shape, sensor.prnu, sensor.hot_share)
+    rng = stream(stage.key, "sample", camera, 0, "sensor")
+    return counts(picture, sensor, gain, fixed, rng=rng)
+
+
+def speckle_radiance(stage: Stage, unit: Unit, role: Role, *, spp: int = SPP) -> Image:
+    """Return the radiance (H, W) float32 that a unit's grey camera integrates, without a sensor."""
+    camera = unit.true.camera(role)
+    shutter = shutter_of(stage.rig.sensor(role), unit_time(stage, unit))
+    key = int(stream(stage.key, "sample", 3 * unit.index + ROLES.index(role), 0, "jitter")
+              .integers(2**32))  # fmt: skip
+    picture = np.full(camera.height * camera.width, stage.rig.light.background, np.float32)
+    if stage.rigid:
+        pixels = region(stage, camera, shutter)
+        soft = _soft(stage, unit.slot, shutter.time_s)
+        picture[pixels] = radiance(stage, soft, camera, pixels, shutter, spp, key) / spp
+        return picture.reshape(camera.height, camera.width)
+    begin, end = shutter.span(camera.height)
+    poses = max(_POSES, round(_POSES * (end - begin) / shutter.exposure_s))
+    edges = np.linspace(begin, end, poses + 1)
+    every = np.arange(len(picture), dtype=np.uint32)
+    total = np.zeros_like(picture)
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        stage.pose(float(low + high) / 2)
+        soft = _soft(stage, unit.slot, stage.posed_s)
+        window = float(low), float(high)
+        total += radiance(stage, soft, camera, every, shutter, spp, key, window)
+    return (total / spp).reshape(camera.height, camera.width)
+
+
+def _soft(stage: Stage, slot: int, time_s: float) -> SoftLight:
+    """Return the light at the vertices, made again only where the scene has moved since."""
+    speed = float(np.linalg.norm(stage.velocity_m_s))
+    dot = min(p.pattern.dot_px * p.focus_m / p.optics.fx for p in stage.rig.projectors)
+    step = 0.25 * dot / speed if speed else np.inf
+    kept = stage.kept.get(slot)
+    if kept is None or kept[0] != stage.posed_s or abs(kept[1] - time_s) > step:
+        kept = stage.posed_s, time_s, soft_light(stage, slot, time_s)
+        stage.kept[slot] = kept
+    return kept[2]
+
+
+def _problem(
+    stage: Stage, unit: Unit, time_s: float, seen: list[Image], left: NDArray[Any], sensor: Sensor
+) -> str | None:
+    for picture, role in zip(seen, ROLES[:2], strict=True):
+        if picture.max() <= 1.5 * stage.rig.light.background:
+            return (
+                f"unit {unit.ident}: its {role} camera sees nothing of the subject; move the "
+                "subject into the working volume or aim the unit at it"
+            )
+    return _dark(stage, unit, time_s) or _underexposed(unit, left, sensor)
+
+
+def _dark(stage: Stage, unit: Unit, time_s: float) -> str | None:
+    """Tell black speckle: projectors that give nothing against the ambient light."""
+    camera = unit.true.left
+    pixels, z = project(camera, stage.vertices)
+    size = np.array([camera.width, camera.height])
+    facing = np.einsum("vk,vk->v", stage.normals, camera.position - stage.vertices) > 0
+    inside = (z > 0) & facing & ((pixels >= 0) & (pixels < size)).all(axis=1)
+    light = _soft(stage, unit.slot, time_s).irradiance[inside]
+    ambient = stage.rig.light.ambient
+    strongest = float(np.quantile(light, 0.95)) if len(light) else 0.0
+    if strongest > max(_BLACK * ambient, 1e-9):
+        return None
+    names = [p.ident for p in stage.rig.lit_by(unit)]
+    shown = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
+    return (
+        f"unit {unit.ident}: black speckle: projectors {shown or '(none in its slot)'} give "
+        f"{strongest:.2g} of irradiance against {ambient:g} of ambient light on what its left "
+        "camera sees; raise projector.irradiance (what arrives at the focus distance) or aim them"
+    )
+
+
+def _underexposed(unit: Unit, left: NDArray[Any], sensor: Sensor) -> str | None:
+    black = sensor.black_dn * sensor.full_scale / 255
+    bright = float(np.quantile(left, 0.999)) - black
+    if bright * 255 / sensor.full_scale > 6:
+        return None
+    return (
+        f"unit {unit.ident}: the picture is black, {bright:.1f} counts above the black level of "
+        f"{sensor.bits} bits; raise grey_sensor.gain, or leave it null for automatic exposure"
+    )

@@ -36,7 +36,7 @@ class Surface:
 
     albedo: float = 0.5
     rgb: tuple[float, float, float] = (0.62, 0.38, 0.28)
-    specular: float = 1.0
+    specular: float = 0.7
     roughness: float = 0.45
     subsurface: float = 0.6
     subsurface_m: float = 0.001

@@ -1,0 +1,237 @@
+"""The speckle picture on the device: rays of true cameras, stratified over pixel and time.
+
+Everything that distinguishes cameras is data, so one kernel makes the pictures of all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.geometry.cameras import Camera
+from synthgen.render import backend
+from synthgen.scanner.glass import normal_shift, thickness_for, transmittance
+from synthgen.scanner.light import LIFT_M, Gloss, irradiance, number
+from synthgen.scanner.rig import Sensor
+from synthgen.scanner.softlight import SoftLight
+from synthgen.scanner.stage import Stage
+
+Array = NDArray[np.float64]
+
+_UNDISTORT_STEPS = 6
+# Pixels per edge of the blocks in which the subject is looked for.
+_BLOCK_PX = 4
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """When a picture is taken.
+
+    Attributes
+    ----------
+    time_s : float
+        Middle of the exposure of the middle row.
+    exposure_s, line_delay_s : float
+    """
+
+    time_s: float
+    exposure_s: float
+    line_delay_s: float
+
+    def span(self, height: int) -> tuple[float, float]:
+        """Return when the first row begins and the last one ends."""
+        half = 0.5 * (self.exposure_s + self.line_delay_s * (height - 1))
+        return self.time_s - half, self.time_s + half
+
+
+def shutter_of(sensor: Sensor, time_s: float) -> Shutter:
+    """Return the shutter of a sensor that exposes at a time."""
+    return Shutter(time_s, sensor.exposure_s, sensor.line_delay_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays on the device, in the scene's pose: origin, unit direction, transmittance of glass."""
+
+    origin: Any
+    way: Any
+    passed: Any
+    ahead: Any
+
+
+class Lens:
+    """A true camera's numbers on the device."""
+
+    def __init__(self, stage: Stage, camera: Camera):
+        T = camera.T
+        self.width, self.height = camera.width, camera.height
+        self.focal = number(camera.fx), number(camera.fy)
+        self.centre = number(camera.cx), number(camera.cy)
+        self.coefficients = [number(v) for v in camera.distortion]
+        self.axes = [[number(v) for v in row] for row in T[:3, :3]]
+        self.eye = [number(v) for v in camera.position]
+        self.thickness = number(thickness_for(stage.rig.glass, camera.position))
+        self.ior = None if stage.rig.glass is None else number(stage.rig.glass.ior)
+
+    def rays(self, x: Any, y: Any, shift: Any) -> Rays:
+        """Return rays through raw pixel positions of a scene that has moved by ``shift``."""
+        mi: Any = backend.mitsuba()
+        dr: Any = backend.drjit()
+        u, v = self._flat(
+            (x - self.centre[0]) / self.focal[0], (y - self.centre[1]) / self.focal[1]
+        )
+        way = dr.normalize(mi.Vector3f(*(a[0] * u + a[1] * v + a[2] for a in self.axes)))
+        ahead = dr.rsqrt(u * u + v * v + 1)
+        origin = mi.Point3f(*self.eye) - shift
+        passed = mi.Float(1)
+        if self.ior is not None:
+            cosine = dr.abs(way.y)
+            move = normal_shift(cosine, self.thickness, self.ior, dr.sqrt)
+            origin.y += dr.sign(way.y) * move
+            through = transmittance(cosine, self.ior, dr.sqrt)
+            passed = dr.select(self.thickness > 0, through, 1)
+        return Rays(origin, way, passed, ahead)
+
+    def _flat(self, xd: Any, yd: Any) -> tuple[Any, Any]:
+        """Undo Brown-Conrady distortion by fixed-point iteration, as ``cameras.undistort``."""
+        k1, k2, p1, p2, k3 = self.coefficients
+        x, y = xd, yd
+        for _ in range(_UNDISTORT_STEPS):
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+            dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+            x, y = (xd - dx) / radial, (yd - dy) / radial
+        return x, y
+
+
+def region(stage: Stage, camera: Camera, shutter: Shutter) -> NDArray[np.uint32]:
+    """Return the raw pixels (n,) in which the subject may be, row-major; the rest is background.
+
+    One ray per block of pixels and every vertex decide; a margin of two blocks is added.
+    """
+    mi: Any = backend.mitsuba()
+    dr: Any = backend.drjit()
+    rows, columns = -(-camera.height // _BLOCK_PX), -(-camera.width // _BLOCK_PX)
+    lens = Lens(stage, camera)
+    begin, end = shutter.span(camera.height)
+    found = np.zeros((rows, columns), dtype=bool)
+    index = dr.arange(mi.UInt32, rows * columns)
+    wide = dr.opaque(mi.UInt32, columns)
+    x = mi.Float(index % wide) * _BLOCK_PX + (_BLOCK_PX - 1) / 2
+    y = mi.Float(index // wide) * _BLOCK_PX + (_BLOCK_PX - 1) / 2
+    for time in {begin, end} if stage.rigid and stage.velocity_m_s.any() else {shutter.time_s}:
+        shift = mi.Vector3f(*(number(v) for v in stage.shift(time)))
+        rays = lens.rays(x, y, shift)
+        hit = stage.scene.ray_test(mi.Ray3f(rays.origin, rays.way), coherent=True)
+        found |= np.array(hit).reshape(rows, columns)
+    wide_margin = np.zeros_like(found)
+    for down in range(-2, 3):
+        for right in range(-2, 3):
+            wide_margin |= _moved(found, down, right)
+    pixels = wide_margin.repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
+    return np.flatnonzero(pixels[: camera.height, : camera.width].ravel()).astype(np.uint32)
+
+
+def _moved(mask: NDArray[np.bool_], down: int, right: int) -> NDArray[np.bool_]:
+    padded = np.pad(mask, 2)
+    rows, columns = mask.shape
+    return padded[2 + down : 2 + down + rows, 2 + right : 2 + right + columns]
+
+
+def radiance(
+    stage: Stage, soft: SoftLight, camera: Camera, pixels: NDArray[np.uint32], shutter: Shutter,
+    spp: int, key: int, window: tuple[float, float] = (-np.inf, np.inf),
+) -> NDArray[np.float32]:  # fmt: skip
+    """Sum the radiance of the sub-samples of pixels whose time lies in a window.
+
+    Parameters
+    ----------
+    stage, soft : Stage, SoftLight
+        Posed; with the light of the slot.
+    camera : Camera
+        A true one.
+    pixels : (n,) uint32
+        Row-major raw pixels.
+    shutter : Shutter
+    spp : int
+        Sub-samples, a square number; strata over the pixel and over the exposure, paired anew in
+        every pixel.
+    key : int
+        Of the jitter.
+    window : tuple of float
+        Seconds; for scenes that are posed several times in an exposure.
+
+    Returns
+    -------
+    (n,) float32
+        To be divided by ``spp`` once all windows are summed.
+    """
+    mi: Any = backend.mitsuba()
+    dr: Any = backend.drjit()
+    lens = Lens(stage, camera)
+    index = mi.UInt32(pixels)
+    wide = dr.opaque(mi.UInt32, camera.width)
+    column, row = mi.Float(index % wide), mi.Float(index // wide)
+    side, count = dr.opaque(mi.UInt32, int(spp**0.5)), dr.opaque(mi.UInt32, spp)
+    salt = dr.opaque(mi.UInt32, key & 0xFFFFFFFF)
+    late = (row - number((camera.height - 1) / 2)) * number(shutter.line_delay_s)
+    opening, exposure = number(shutter.time_s), number(shutter.exposure_s)
+    begin, end = number(max(window[0], -1e9)), number(min(window[1], 1e9))
+    velocity = mi.Vector3f(*(number(v) for v in stage.velocity_m_s))
+    posed, background = number(stage.posed_s), number(stage.rig.light.background)
+
+    def sample(i: Any, total: Any) -> tuple[Any, Any]:
+        a, b = mi.sample_tea_32(index ^ salt, i)
+        turn, _ = mi.sample_tea_32(index ^ salt, count)
+        x = column - 0.5 + (mi.Float(i % side) + _share(a)) / mi.Float(side)
+        y = row - 0.5 + (mi.Float(i // side) + _share(b)) / mi.Float(side)
+        stratum = mi.Float((i + turn) % count) + mi.Float(((a & 0xFF) << 8) | (b & 0xFF)) / 65536
+        time = opening + late + (stratum / mi.Float(count) - 0.5) * exposure
+        now = (time >= begin) & (time < end)
+        shift = velocity * (time - posed)
+        light = _seen(stage, soft, lens.rays(x, y, shift), shift, now, background)
+        return i + 1, total + dr.select(now, light, 0)
+
+    zero = dr.zeros(mi.Float, len(pixels))
+    first = dr.zeros(mi.UInt32, len(pixels))
+    _, total = dr.while_loop((first, zero), lambda i, _: i < count, sample, label="samples")
+    return np.array(total)
+
+
+def _share(word: Any) -> Any:
+    return backend.mitsuba().Float(word >> 8) * (2.0**-24)
+
+
+def _seen(
+    stage: Stage, soft: SoftLight, rays: Rays, shift: Any, active: Any, background: Any
+) -> Any:
+    """Radiance along rays; back faces, which only holes show, are black."""
+    mi: Any = backend.mitsuba()
+    dr: Any = backend.drjit()
+    ray = mi.Ray3f(rays.origin, rays.way)
+    hit = stage.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+    there = active & hit.is_valid()
+    flat = dr.gather(mi.Vector4f, stage.face_normals, hit.prim_index, there)
+    flat = mi.Vector3f(flat.x, flat.y, flat.z)
+    front = there & (dr.dot(flat, rays.way) < 0)
+    corner = dr.gather(mi.Vector4u, stage.corners, hit.prim_index, front)
+    quads = [
+        dr.gather(mi.Vector4f, soft.vertices, c, front) for c in (corner.x, corner.y, corner.z)
+    ]
+    u, v = hit.prim_uv.x, hit.prim_uv.y
+    mixed = quads[0] * (1 - u - v) + quads[1] * u + quads[2] * v
+    normal = dr.normalize(mi.Normal3f(mixed.x, mixed.y, mixed.z))
+    surface = dr.gather(mi.Vector4f, stage.surfaces, corner.w, front)
+    reach = dr.gather(mi.UInt64, soft.reach, hit.prim_index, front)
+    sure = dr.gather(mi.UInt64, soft.sure, hit.prim_index, front)
+    gloss = Gloss(-rays.way, surface.z, surface.w)
+    direct, glint, _ = irradiance(
+        stage.scene, stage.table, ray(hit.t), normal, flat * LIFT_M, shift, reach, reach & ~sure,
+        gloss,
+    )  # fmt: skip
+    light = surface.x * (dr.fma(-surface.y, direct, direct) + mixed.w) + glint
+    return dr.select(front, light * rays.passed, dr.select(there, 0, background))
