@@ -5,6 +5,7 @@ Everything that distinguishes cameras is data, so one kernel makes the pictures 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,10 @@ class Rays:
     way: Any
     passed: Any
     ahead: Any
+
+
+# From rays, the scene's shift and the active lanes to what is seen, per channel.
+Look = Callable[[Rays, Any, Any], tuple[Any, ...]]
 
 
 class Lens:
@@ -142,32 +147,49 @@ def _moved(mask: NDArray[np.bool_], down: int, right: int) -> NDArray[np.bool_]:
     return padded[2 + down : 2 + down + rows, 2 + right : 2 + right + columns]
 
 
-def radiance(
-    stage: Stage, soft: SoftLight, camera: Camera, pixels: NDArray[np.uint32], shutter: Shutter,
-    spp: int, key: int, window: tuple[float, float] = (-np.inf, np.inf),
+@dataclass(frozen=True)
+class Sampling:
+    """How pixels are sampled.
+
+    Attributes
+    ----------
+    spp : int
+        Sub-samples, a square number: strata over the pixel and over the exposure, paired anew in
+        every pixel.
+    key : int
+        Of the jitter.
+    window : tuple of float
+        Only sub-samples whose time, seconds, lies in it; for scenes that are posed several times
+        in an exposure.
+    """
+
+    spp: int
+    key: int
+    window: tuple[float, float] = (-1e9, 1e9)
+
+
+def integrate(
+    stage: Stage, camera: Camera, pixels: NDArray[np.uint32], shutter: Shutter,
+    sampling: Sampling, look: Look, channels: int = 1,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Sum the radiance of the sub-samples of pixels whose time lies in a window.
+    """Sum what sub-samples of pixels see.
 
     Parameters
     ----------
-    stage, soft : Stage, SoftLight
-        Posed; with the light of the slot.
+    stage : Stage
+        Posed.
     camera : Camera
         A true one.
     pixels : (n,) uint32
         Row-major raw pixels.
     shutter : Shutter
-    spp : int
-        Sub-samples, a square number; strata over the pixel and over the exposure, paired anew in
-        every pixel.
-    key : int
-        Of the jitter.
-    window : tuple of float
-        Seconds; for scenes that are posed several times in an exposure.
+    sampling : Sampling
+    look : callable
+        From rays, the scene's shift and the active lanes to ``channels`` numbers.
 
     Returns
     -------
-    (n,) float32
+    (n, channels) float32
         To be divided by ``spp`` once all windows are summed.
     """
     mi: Any = backend.mitsuba()
@@ -176,15 +198,16 @@ def radiance(
     index = mi.UInt32(pixels)
     wide = dr.opaque(mi.UInt32, camera.width)
     column, row = mi.Float(index % wide), mi.Float(index // wide)
-    side, count = dr.opaque(mi.UInt32, int(spp**0.5)), dr.opaque(mi.UInt32, spp)
-    salt = dr.opaque(mi.UInt32, key & 0xFFFFFFFF)
+    side = dr.opaque(mi.UInt32, int(sampling.spp**0.5))
+    count = dr.opaque(mi.UInt32, sampling.spp)
+    salt = dr.opaque(mi.UInt32, sampling.key & 0xFFFFFFFF)
     late = (row - number((camera.height - 1) / 2)) * number(shutter.line_delay_s)
     opening, exposure = number(shutter.time_s), number(shutter.exposure_s)
-    begin, end = number(max(window[0], -1e9)), number(min(window[1], 1e9))
+    begin, end = (number(edge) for edge in sampling.window)
     velocity = mi.Vector3f(*(number(v) for v in stage.velocity_m_s))
-    posed, background = number(stage.posed_s), number(stage.rig.light.background)
+    posed = number(stage.posed_s)
 
-    def sample(i: Any, total: Any) -> tuple[Any, Any]:
+    def sample(i: Any, *totals: Any) -> tuple[Any, ...]:
         a, b = mi.sample_tea_32(index ^ salt, i)
         turn, _ = mi.sample_tea_32(index ^ salt, count)
         x = column - 0.5 + (mi.Float(i % side) + _share(a)) / mi.Float(side)
@@ -193,23 +216,57 @@ def radiance(
         time = opening + late + (stratum / mi.Float(count) - 0.5) * exposure
         now = (time >= begin) & (time < end)
         shift = velocity * (time - posed)
-        light = _seen(stage, soft, lens.rays(x, y, shift), shift, now, background)
-        return i + 1, total + dr.select(now, light, 0)
+        found = look(lens.rays(x, y, shift), shift, now)
+        return i + 1, *(t + dr.select(now, f, 0) for t, f in zip(totals, found, strict=True))
 
-    zero = dr.zeros(mi.Float, len(pixels))
+    zero = tuple(dr.zeros(mi.Float, len(pixels)) for _ in range(channels))
     first = dr.zeros(mi.UInt32, len(pixels))
-    _, total = dr.while_loop((first, zero), lambda i, _: i < count, sample, label="samples")
-    return np.array(total)
+    _, *totals = dr.while_loop((first, *zero), lambda i, *_: i < count, sample, label="samples")
+    dr.eval(totals)
+    return np.stack([np.array(total) for total in totals], axis=1)
 
 
 def _share(word: Any) -> Any:
     return backend.mitsuba().Float(word >> 8) * (2.0**-24)
 
 
-def _seen(
-    stage: Stage, soft: SoftLight, rays: Rays, shift: Any, active: Any, background: Any
-) -> Any:
-    """Radiance along rays; back faces, which only holes show, are black."""
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """Where rays meet the scene from outside, per lane.
+
+    Attributes
+    ----------
+    hit : PreliminaryIntersection
+    there, front : Bool
+        Something was met; from outside.
+    point : Point3f
+    flat : Vector3f
+        Normal of the face.
+    corner : Vector4u
+        Its drawn vertices, and the solid.
+    weights : tuple of Float
+        Of the corners.
+    """
+
+    hit: Any
+    there: Any
+    front: Any
+    point: Any
+    flat: Any
+    corner: Any
+    weights: tuple[Any, Any, Any]
+
+    def mixed(self, quads: Any) -> Any:
+        """Interpolate quadruples that are kept at the drawn vertices."""
+        mi, dr = backend.mitsuba(), backend.drjit()
+        ends = (self.corner.x, self.corner.y, self.corner.z)
+        a, b, c = (dr.gather(mi.Vector4f, quads, end, self.front) for end in ends)
+        u, v, w = self.weights
+        return a * u + b * v + c * w
+
+
+def meet(stage: Stage, rays: Rays, active: Any) -> Meeting:
+    """Find what rays meet first."""
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
     ray = mi.Ray3f(rays.origin, rays.way)
@@ -219,19 +276,29 @@ def _seen(
     flat = mi.Vector3f(flat.x, flat.y, flat.z)
     front = there & (dr.dot(flat, rays.way) < 0)
     corner = dr.gather(mi.Vector4u, stage.corners, hit.prim_index, front)
-    quads = [
-        dr.gather(mi.Vector4f, soft.vertices, c, front) for c in (corner.x, corner.y, corner.z)
-    ]
     u, v = hit.prim_uv.x, hit.prim_uv.y
-    mixed = quads[0] * (1 - u - v) + quads[1] * u + quads[2] * v
-    normal = dr.normalize(mi.Normal3f(mixed.x, mixed.y, mixed.z))
-    surface = dr.gather(mi.Vector4f, stage.surfaces, corner.w, front)
-    reach = dr.gather(mi.UInt64, soft.reach, hit.prim_index, front)
-    sure = dr.gather(mi.UInt64, soft.sure, hit.prim_index, front)
-    gloss = Gloss(-rays.way, surface.z, surface.w)
-    direct, glint, _ = irradiance(
-        stage.scene, stage.table, ray(hit.t), normal, flat * LIFT_M, shift, reach, reach & ~sure,
-        gloss,
-    )  # fmt: skip
-    light = surface.x * (dr.fma(-surface.y, direct, direct) + mixed.w) + glint
-    return dr.select(front, light * rays.passed, dr.select(there, 0, background))
+    return Meeting(hit, there, front, ray(hit.t), flat, corner, (1 - u - v, u, v))
+
+
+def speckle_look(stage: Stage, soft: SoftLight) -> Look:
+    """Return how a grey camera sees the scene; back faces, which only holes show, are black."""
+    mi: Any = backend.mitsuba()
+    dr: Any = backend.drjit()
+    background = number(stage.rig.light.background)
+
+    def look(rays: Rays, shift: Any, active: Any) -> tuple[Any]:
+        met = meet(stage, rays, active)
+        mixed = met.mixed(soft.vertices)
+        normal = dr.normalize(mi.Normal3f(mixed.x, mixed.y, mixed.z))
+        surface = dr.gather(mi.Vector4f, stage.surfaces, met.corner.w, met.front)
+        reach = dr.gather(mi.UInt64, soft.reach, met.hit.prim_index, met.front)
+        sure = dr.gather(mi.UInt64, soft.sure, met.hit.prim_index, met.front)
+        direct, glint, _ = irradiance(
+            stage.scene, stage.table, met.point, normal, met.flat * LIFT_M, shift, reach,
+            reach & ~sure, Gloss(-rays.way, surface.z, surface.w),
+        )  # fmt: skip
+        light = surface.x * (dr.fma(-surface.y, direct, direct) + mixed.w) + glint
+        behind = dr.select(met.there, 0, background)
+        return (dr.select(met.front, light * rays.passed, behind),)
+
+    return look

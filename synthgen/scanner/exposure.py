@@ -9,7 +9,9 @@ stream under it, so that the order of exposures does not matter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,15 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import project
 from synthgen.sampling.streams import stream
-from synthgen.scanner.camera import radiance, region, shutter_of
+from synthgen.scanner.camera import (
+    Look,
+    Sampling,
+    Shutter,
+    integrate,
+    region,
+    shutter_of,
+    speckle_look,
+)
 from synthgen.scanner.rig import Role, Sensor, Unit
 from synthgen.scanner.sensor import Image, automatic_gain, counts, fixed_pattern, optical
 from synthgen.scanner.softlight import SoftLight, soft_light
@@ -96,38 +106,58 @@ def expose(stage: Stage, unit: Unit, *, spp: int = SPP) -> Exposure:
 
 
 def digitised(
-    stage: Stage, unit: Unit, role: Role, picture: Image, sensor: Sensor, gain: float
-) -> NDArray[Any]:
+    stage: Stage, unit: Unit, role: Role, picture: Image, sensor: Sensor, gain: float,
+    stream_name: str = "sensor",
+) -> NDArray[Any]:  # fmt: skip
     """Return counts of one camera with its own fixed pattern and noise stream."""
     camera = 3 * unit.index + ROLES.index(role)
     fixed = fixed_pattern(stage.rig.seed, camera, *picture.shape, sensor.prnu, sensor.hot_share)
-    rng = stream(stage.key, "sample", camera, 0, "sensor")
+    rng = stream(stage.key, "sample", camera, 0, stream_name)
     return counts(picture, sensor, gain, fixed, rng=rng)
 
 
 def speckle_radiance(stage: Stage, unit: Unit, role: Role, *, spp: int = SPP) -> Image:
     """Return the radiance (H, W) float32 that a unit's grey camera integrates, without a sensor."""
+    shutter = shutter_of(stage.rig.grey, unit_time(stage, unit))
+    background = (stage.rig.light.background,)
+
+    def look() -> Look:
+        return speckle_look(stage, _soft(stage, unit.slot, _light_time(stage, shutter)))
+
+    return integrated(stage, unit, role, shutter, spp, look, background)[..., 0]
+
+
+def integrated(
+    stage: Stage, unit: Unit, role: Role, shutter: Shutter, spp: int,
+    look: Callable[[], Look], background: tuple[float, ...],
+) -> Image:  # fmt: skip
+    """Return what a camera integrates, (H, W, C) float32, posing the scene as often as it needs.
+
+    ``look`` is asked for anew after every pose.
+    """
     camera = unit.true.camera(role)
-    shutter = shutter_of(stage.rig.sensor(role), unit_time(stage, unit))
-    key = int(stream(stage.key, "sample", 3 * unit.index + ROLES.index(role), 0, "jitter")
-              .integers(2**32))  # fmt: skip
-    picture = np.full(camera.height * camera.width, stage.rig.light.background, np.float32)
+    camera_number = 3 * unit.index + ROLES.index(role)
+    key = int(stream(stage.key, "sample", camera_number, 0, "jitter").integers(2**32))
+    shape = camera.height, camera.width, len(background)
+    picture = np.tile(np.float32(background), (camera.height * camera.width, 1))
     if stage.rigid:
-        pixels = region(stage, camera, shutter)
-        soft = _soft(stage, unit.slot, shutter.time_s)
-        picture[pixels] = radiance(stage, soft, camera, pixels, shutter, spp, key) / spp
-        return picture.reshape(camera.height, camera.width)
+        pixels, sampling = region(stage, camera, shutter), Sampling(spp, key)
+        seen = integrate(stage, camera, pixels, shutter, sampling, look(), len(background))
+        picture[pixels] = seen / spp
+        return picture.reshape(shape)
     begin, end = shutter.span(camera.height)
     poses = max(_POSES, round(_POSES * (end - begin) / shutter.exposure_s))
-    edges = np.linspace(begin, end, poses + 1)
     every = np.arange(len(picture), dtype=np.uint32)
-    total = np.zeros_like(picture)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    picture[:] = 0
+    for low, high in pairwise(np.linspace(begin, end, poses + 1)):
         stage.pose(float(low + high) / 2)
-        soft = _soft(stage, unit.slot, stage.posed_s)
-        window = float(low), float(high)
-        total += radiance(stage, soft, camera, every, shutter, spp, key, window)
-    return (total / spp).reshape(camera.height, camera.width)
+        sampling = Sampling(spp, key, (float(low), float(high)))
+        picture += integrate(stage, camera, every, shutter, sampling, look(), len(background))
+    return picture.reshape(shape) / np.float32(spp)
+
+
+def _light_time(stage: Stage, shutter: Shutter) -> float:
+    return shutter.time_s if stage.rigid else stage.posed_s
 
 
 def _soft(stage: Stage, slot: int, time_s: float) -> SoftLight:
@@ -139,7 +169,8 @@ def _soft(stage: Stage, slot: int, time_s: float) -> SoftLight:
     if kept is None or kept[0] != stage.posed_s or abs(kept[1] - time_s) > step:
         kept = stage.posed_s, time_s, soft_light(stage, slot, time_s)
         stage.kept[slot] = kept
-    return kept[2]
+    light: SoftLight = kept[2]
+    return light
 
 
 def _problem(

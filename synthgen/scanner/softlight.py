@@ -146,7 +146,7 @@ def bounce(stage: Stage, radiosity: Array) -> tuple[Array, Array]:
 
 
 def _gathered(stage: Stage, points: Array, normals: Array, sources: list[Any]) -> Array:
-    """Mean over rays of each source where they hit, and of the rays that hit nothing, (n, C + 1)."""
+    """Mean over rays of each source where they hit, and of those that hit nothing, (n, C + 1)."""
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
     n = len(points)

@@ -81,7 +81,7 @@ class Stage:
 
     def __init__(self, scene: ScanScene, rig: Rig, key: int, effects: Effects = ALL):
         self.rig, self.key, self.effects = rig, key, effects
-        self.kept: dict[int, Any] = {}
+        self.kept: dict[Any, Any] = {}
         self.notes: list[str] = []
         gsd = min(_gsd(unit_.nominal.left) for unit_ in rig.units)
         self.fine_m = _FINE_PX * gsd
