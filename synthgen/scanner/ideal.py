@@ -6,23 +6,21 @@ are in both. Level ``model`` starts from it.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import Camera, project
-from synthgen.scanner.calibration import in_frame
 from synthgen.scanner.glass import seen_position
 from synthgen.scanner.rectify import Rectified, rectified_pixels, remap_tables
 from synthgen.scanner.rig import Glass, Unit
+from synthgen.scanner.stage import Stage
 from synthgen.scanner.truth import see, seen_from
 
 Array = NDArray[np.float64]
 
 
 def ideal_disparity(
-    stage: Any, unit: Unit, pair: Rectified, step: int, *, time_s: float
+    stage: Stage, unit: Unit, pair: Rectified, step: int, *, time_s: float
 ) -> NDArray[np.float32]:
     """Return the true disparities (h, w) on a grid of the rectified left view, pixels.
 
@@ -36,7 +34,7 @@ def ideal_disparity(
     hit = np.flatnonzero(sight.solid >= 0)
     points = sight.point_m[hit]
     right = unit.true.right
-    seen = in_frame(right, points) & seen_from(stage, right, points, time_s=time_s)
+    seen = seen_from(stage, right, points, time_s=time_s)
     hit, points = hit[seen], points[seen]
     at = rectified_pixels(pair, 1, project_through(stage.rig.glass, right, points))
     columns = np.tile(np.arange(x.shape[1]) * step, x.shape[0])

@@ -86,8 +86,8 @@ def rectify(left: Camera, right: Camera, target: NDArray[Any] | None = None) -> 
     left, right : Camera
         Nominal; of equal size. Any baseline direction does, the rectified x axis follows it.
     target : (3,) float, world metres, optional
-        Lands in the centre of both rectified pictures; default the world's origin, which is the
-        centre of a rig's working volume.
+        Lands in the centre of both rectified pictures; default is the point on the pair's middle
+        axis that is as deep as the world's origin, the centre of a rig's working volume.
 
     Raises
     ------
@@ -107,13 +107,16 @@ def rectify(left: Camera, right: Camera, target: NDArray[Any] | None = None) -> 
     T[:3, :3] = rectifying_rotation(left, right)
     T[:3, 3] = left.position
     f = (left.fx + right.fx + left.fy + right.fy) / 4
-    aim = np.zeros(3) if target is None else np.asarray(target, np.float64)
+    if target is None:
+        middle = (left.position + right.position) / 2
+        aim = middle + max(-middle @ T[:3, 2], 2 * length) * T[:3, 2]
+    else:
+        aim = np.asarray(target, np.float64)
     seen = [(aim - c.position) @ T[:3, :3] for c in (left, right)]
     if min(p[2] for p in seen) <= 0:
         raise ShapeError(f"target {aim.tolist()} lies behind the pair at {left.position.tolist()}")
-    middle = (left.width - 1) / 2, (left.height - 1) / 2
-    cx, cx_right = (middle[0] - f * p[0] / p[2] for p in seen)
-    cy = middle[1] - f * (seen[0][1] / seen[0][2] + seen[1][1] / seen[1][2]) / 2
+    cx, cx_right = ((left.width - 1) / 2 - f * p[0] / p[2] for p in seen)
+    cy = (left.height - 1) / 2 - f * (seen[0][1] / seen[0][2] + seen[1][1] / seen[1][2]) / 2
     rows = tuple(tuple(float(v) for v in row) for row in T)
     view = Camera(left.width, left.height, f, f, float(cx), float(cy), (0.0,) * 5, rows)
     return Rectified(left, right, view, float(cx_right), length)
