@@ -180,7 +180,7 @@ def _arriving(table: ProjectorTable, k: Any, where: Any) -> tuple[Any, Any, Any]
     way = mi.Vector3f(cx, cy, cz) - where
     passed = mi.Float(1)
     if table.ior is not None:
-        height = way.y
+        height = mi.Float(way.y)
         for _ in range(4):
             cosine = dr.abs(way.y) * dr.rsqrt(dr.squared_norm(way))
             shift = normal_shift(cosine, thickness, table.ior, dr.sqrt)
