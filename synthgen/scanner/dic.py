@@ -31,6 +31,7 @@ def refine(
     xy: NDArray[Any],
     seed: NDArray[Any],
     settings: DicSettings,
+    slope: NDArray[Any] | None = None,
 ) -> Refined:
     """Refine the disparities of n pixels at once.
 
@@ -43,6 +44,8 @@ def refine(
     seed : (n,) float
         Disparities to start from, pixels.
     settings : DicSettings
+    slope : (n, 2) float, optional
+        Derivatives of the disparity along x and y to start from; default 0.
 
     Returns
     -------
@@ -54,7 +57,8 @@ def refine(
         return Refined(empty, np.zeros((0, 2), np.float32), empty, empty, empty > 0)
     backend.activate()
     lanes = _Lanes(left, right, settings)
-    return lanes.run(np.asarray(xy), np.asarray(seed, np.float32))
+    start = np.zeros((len(xy), 2)) if slope is None else slope
+    return lanes.run(np.asarray(xy), np.asarray(seed, np.float32), np.asarray(start, np.float32))
 
 
 class _Lanes:
@@ -76,16 +80,19 @@ class _Lanes:
         self.most = dr.opaque(mi.Int32, settings.iterations)
         self.n_shape = 3 if settings.order == 1 else 6
 
-    def run(self, xy: NDArray[Any], seed: NDArray[np.float32]) -> Refined:
+    def run(
+        self, xy: NDArray[Any], seed: NDArray[np.float32], slope: NDArray[np.float32]
+    ) -> Refined:
         dr, w = self.dr, int(self.half[0])
         inside = np.all((xy >= w) & (xy < [self.width - w, self.height - w]), axis=1)
         x = self.Int(np.ascontiguousarray(xy[:, 0], dtype=np.int32))
         y = self.Int(np.ascontiguousarray(xy[:, 1], dtype=np.int32))
         start = self.Float(seed)
-        zeros = [self.Float(0)] * (self.n_shape - 1)
+        tilt = [self.Float(np.ascontiguousarray(slope[:, k])) * self.half_f for k in (0, 1)]
+        zeros = [self.Float(0)] * (self.n_shape - 3)
         state = (
             self.Int(0), self.Bool(inside), self.Bool(False), self.Float(-1), self.Float(0),
-            self.Float(start), *zeros,
+            self.Float(start), *tilt, *zeros,
         )  # fmt: skip
         done = dr.while_loop(
             state,

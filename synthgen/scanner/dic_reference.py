@@ -100,6 +100,7 @@ def refine_reference(
     xy: NDArray[Any],
     seed: NDArray[Any],
     settings: DicSettings,
+    slope: NDArray[Any] | None = None,
 ) -> Refined:
     """Refine the disparities of pixels one by one.
 
@@ -112,17 +113,21 @@ def refine_reference(
     seed : (n,) float
         Disparities to start from, pixels.
     settings : DicSettings
+    slope : (n, 2) float, optional
+        Derivatives of the disparity along x and y to start from; default 0.
     """
-    coefficients = spline_rows(right).astype(np.float64)
+    coefficients, own = spline_rows(right).astype(np.float64), np.asarray(left, np.float64) - 128
+    tilt = np.zeros((len(xy), 2)) if slope is None else np.asarray(slope, np.float64)
+    starts = np.column_stack([seed, tilt])
     rows = [
-        _one(np.asarray(left, np.float64) - 128, coefficients, int(x), int(y), float(d), settings)
-        for (x, y), d in zip(xy, seed, strict=True)
+        _one(own, coefficients, int(x), int(y), start, settings)
+        for (x, y), start in zip(xy, starts, strict=True)
     ]
     table = np.array(rows).reshape(-1, 6)
     return Refined(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4], table[:, 5] > 0)
 
 
-def _one(left: Array, right: Array, x: int, y: int, seed: float, s: DicSettings) -> list[float]:
+def _one(left: Array, right: Array, x: int, y: int, start: Array, s: DicSettings) -> list[float]:
     lost = [np.nan, np.nan, np.nan, -1.0, np.nan, 0.0]
     w = s.half
     height, width = left.shape
@@ -134,7 +139,7 @@ def _one(left: Array, right: Array, x: int, y: int, seed: float, s: DicSettings)
     weight = np.outer(s.weights, s.weights)
     patch = left[y - w : y + w + 1, x - w : x + w + 1]
     p = np.zeros(len(basis))
-    p[0] = seed
+    p[:3] = start * [1, w, w]
     for _ in range(s.iterations):
         warped = _sample(right, x + i - sum(q * f for q, f in zip(p, basis, strict=True)), y + j)
         if warped is None:
@@ -158,7 +163,7 @@ def _one(left: Array, right: Array, x: int, y: int, seed: float, s: DicSettings)
         step = np.clip(solution[0] / gain, -1, 1)
         p[0] += step
         p[1:] += solution[1:-2] / gain
-        if abs(p[0] - seed) > DRIFT_PX or max(abs(p[1]), abs(p[2])) > STEEPEST * w:
+        if abs(p[0] - start[0]) > DRIFT_PX or max(abs(p[1]), abs(p[2])) > STEEPEST * w:
             return lost
         if abs(step) < SETTLED_PX:
             break

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from synthgen.errors import ScanError, ShapeError
 from synthgen.scanner.dic import refine
 from synthgen.scanner.dic_reference import DicSettings
+from synthgen.scanner.spreading import predicted
 
 Image = NDArray[np.float32]
 LARGEST_BEND = 0.02
 """Second derivatives of disparity beyond this, per pixel, are no surface: the correction stops."""
 
 COARSE, WIDE_PX, MARGIN_PX = 4, 128, 12
+_LEAST_NEIGHBOURS, _NEAR_PX = 3, 5
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,10 @@ class MatchSettings:
         Least local mean, in counts of 0..255: what is darker is background.
     correlation : float
         Least correlation of a refined window.
+    sweeps : int
+        How often matching goes on from what was matched into what was not.
+    agreement_px : float
+        Largest difference of a disparity from what its neighbours predict.
     correct_curvature : bool
         Remove the bias of the affine shape function on curved surfaces.
     dic : DicSettings
@@ -45,10 +51,12 @@ class MatchSettings:
 
     step: int = 3
     block: int = 9
-    seed_scale: int = 1
+    seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
     correlation: float = 0.8
+    sweeps: int = 4
+    agreement_px: float = 0.3
     correct_curvature: bool = True
     dic: DicSettings = field(default_factory=DicSettings)
 
@@ -111,26 +119,59 @@ def match(
     if not bounds[0] < bounds[1]:
         raise ShapeError(f"disparity bounds {bounds} px; the lower one must come first")
     seed = seed_disparity(left, right, narrowed(left, right, bounds, settings), settings)
-    height, width = left.shape
-    rows, columns = np.mgrid[0 : height : settings.step, 0 : width : settings.step]
-    start = seed[:: settings.step, :: settings.step]
-    known = np.isfinite(start)
-    xy = np.stack([columns[known], rows[known]], axis=1)
-    found = refine(left, right, xy, start[known], settings.dic)
-    good = found.valid & (found.correlation >= settings.correlation)
-    grid = _onto(known, good, found.disparity)
-    slope = np.stack([_onto(known, good, found.slope[:, k]) for k in (0, 1)], axis=-1)
+    step = settings.step
+    start = seed[::step, ::step]
+    wanted = lit(left, settings)[::step, ::step]
+    samples = np.full((*start.shape, 5), np.nan, np.float32)
+    todo = np.isfinite(start)
+    _refine_into(samples, todo, left, right, start[todo], tilt_of(start, step)[todo], settings)
+    for _ in range(settings.sweeps):
+        _drop_doubtful(samples, settings)
+        todo = wanted & ~np.isfinite(samples[..., 0])
+        guess, lean, count = predicted(samples[..., 0], samples[..., 1:3], step, todo)
+        known = count >= _LEAST_NEIGHBOURS
+        todo[todo] = known
+        _refine_into(samples, todo, left, right, guess[known], lean[known], settings)
+    _drop_doubtful(samples, settings)
+    grid = samples[..., 0]
     if settings.correct_curvature and settings.dic.order == 1:
-        grid = grid - bend_bias(slope, settings.step, settings.dic.second_moment)
-    correlation = np.nan_to_num(_onto(known, good, found.correlation))
-    sigma = _onto(known, good, found.sigma)
-    return DisparityGrid(grid, sigma, correlation, settings.step, (height, width))
+        grid = grid - bend_bias(samples[..., 1:3], step, settings.dic.second_moment)
+    height, width = left.shape
+    correlation = np.nan_to_num(samples[..., 4])
+    return DisparityGrid(grid, samples[..., 3].copy(), correlation, step, (height, width))
 
 
-def _onto(known: NDArray[np.bool_], good: NDArray[np.bool_], values: NDArray[Any]) -> Image:
-    grid = np.full(known.shape, np.nan, np.float32)
-    grid[known] = np.where(good, values, np.nan)
-    return grid
+def _refine_into(
+    samples: Image, todo: NDArray[np.bool_], left: NDArray[Any], right: NDArray[Any],
+    start: NDArray[Any], lean: NDArray[Any], settings: MatchSettings,
+) -> None:  # fmt: skip
+    """Refine some samples; writes disparity, slope (2), sigma, correlation where it succeeds."""
+    rows, columns = np.nonzero(todo)
+    xy = np.stack([columns, rows], axis=1) * settings.step
+    found = refine(left, right, xy, start, settings.dic, lean)
+    good = found.valid & (found.correlation >= settings.correlation)
+    values = np.column_stack([found.disparity, found.slope, found.sigma, found.correlation])
+    samples[rows[good], columns[good]] = values[good]
+
+
+def _drop_doubtful(samples: Image, settings: MatchSettings) -> None:
+    """Forget samples that most of their neighbours contradict."""
+    known = np.isfinite(samples[..., 0])
+    guess, _, count = predicted(samples[..., 0], samples[..., 1:3], settings.step, known)
+    off = np.abs(samples[known, 0] - guess) > settings.agreement_px
+    bad = np.zeros_like(known)
+    bad[known] = off & (count >= _LEAST_NEIGHBOURS)
+    samples[bad] = np.nan
+
+
+def tilt_of(seed: Image, step: int) -> Image:
+    """Return slopes (h, w, 2) of seeds: gradients of the smoothed seeds, 0 where unknown."""
+    known = np.isfinite(seed)
+    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 2.0)
+    mean = cv2.GaussianBlur(np.where(known, seed, 0).astype(np.float32), (0, 0), 2.0)
+    smooth = np.where(weight > 0.6, mean / np.maximum(weight, 1e-6), np.nan)
+    down, across = np.gradient(smooth, step)
+    return np.clip(np.nan_to_num(np.stack([across, down], axis=-1)), -0.8, 0.8).astype(np.float32)
 
 
 def seed_disparity(
@@ -198,7 +239,8 @@ def lit(left: NDArray[Any], settings: MatchSettings) -> NDArray[np.bool_]:
     image = np.asarray(left, np.float32)
     mean = cv2.blur(image, size)
     spread = cv2.blur(image * image, size) - mean * mean
-    return np.asarray((mean > settings.bright) & (spread > settings.texture**2))
+    bright = cv2.blur(image, (_NEAR_PX, _NEAR_PX)) > settings.bright
+    return np.asarray(bright & (mean > settings.bright) & (spread > settings.texture**2))
 
 
 def _window(

@@ -29,6 +29,7 @@ from synthgen.scanner.settings import ScanSettings, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
 from synthgen.scanner.tsdf import fuse
+from synthgen.scanner.white import expose_colour
 
 LEAST_MATCHED = 0.3
 
@@ -204,8 +205,8 @@ def _doubt(
     return (
         f"only {100 * share:.0f} % of what is lit was matched within the working volume's "
         f"disparities {low:.0f}..{high:.0f} px (depth {near:.3f}..{far:.3f} m): the disparity "
-        "range is too small for the subject (enlarge the rig's volume_m or move the subject), or the "
-        "pictures are blurred or their rows do not correspond"
+        "range is too small for the subject (enlarge the rig's volume_m or move the subject), or "
+        "the pictures are blurred or their rows do not correspond"
     )
 
 
