@@ -21,8 +21,6 @@ _FWHM = 2.3548
 _STEEP = 6.0
 # Laser speckle has no brightest value; the slide is 1 at this multiple of the mean.
 _LASER_WHITE = 6.0
-# Share of a dot lattice's cells that hold a dot, where there is room: the rest breaks its order.
-_OCCUPIED = 0.6
 LEVELS = 5
 
 
@@ -67,22 +65,21 @@ def _band_limited(n: int, dot_px: float, rng: np.random.Generator) -> Image:
 
 
 def _dots(pattern: Pattern, n: int, rng: np.random.Generator) -> Image:
-    """Soft round dots that never touch: one somewhere in some of the cells of a lattice."""
+    """Soft round dots that never touch, in rows whose gaps are exponential: nothing repeats."""
     radius = pattern.dot_px / 2
     area = np.pi * radius * radius
-    smallest = 2 * radius + 1
-    cell = max(np.sqrt(_OCCUPIED * area / pattern.fill), smallest)
-    occupied = pattern.fill * cell * cell / area
-    if occupied > 1:
+    pitch = 2 * radius + 1
+    gap = area / (pattern.fill * pitch) - pitch
+    if gap < 0:
         raise ConfigError(
             f"dots cannot fill {pattern.fill:g} of a slide without touching; at most "
-            f"{area / smallest**2:.2f}: lower `fill`, or use kind: speckle"
+            f"{area / pitch**2:.2f}: lower `fill`, or use kind: speckle"
         )
-    count = int(np.ceil(n / cell))
-    jitter = rng.random((2, count, count)) * (cell - smallest)
-    there = rng.random((count, count)) < occupied
-    corner = np.arange(count) * cell + radius + 0.5
-    x, y = (corner + jitter[0])[there], (corner[:, None] + jitter[1])[there]
+    rows, most = int(np.ceil(n / pitch)), int(1.5 * n / (pitch + gap)) + 20
+    steps = pitch + gap * rng.standard_exponential((rows, most))
+    x = np.cumsum(steps, axis=1) - steps[:, :1] * rng.random((rows, 1))
+    y = np.arange(rows)[:, None] * pitch + radius + 0.8 * rng.random(x.shape)
+    x, y = x[x < n + pitch], y[x < n + pitch]
     image = np.zeros((n, n), dtype=np.float32)
     column, row = np.rint(x).astype(np.int64), np.rint(y).astype(np.int64)
     reach = int(np.ceil(radius + 1))
