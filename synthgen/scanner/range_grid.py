@@ -27,6 +27,9 @@ class GridSettings:
     ----------
     jump_px : float
         Largest distance of a disparity from the median of its 5x5 neighbours, pixels.
+    bridge : int
+        How often single missing samples between known ones are filled in; what is wider than about
+        twice this many samples stays open.
     erode : int
         Samples removed along the border of what was matched.
     facing : float
@@ -34,11 +37,12 @@ class GridSettings:
     """
 
     jump_px: float = 0.7
+    bridge: int = 2
     erode: int = 1
     facing: float = 0.25
 
 
-ROUGH = GridSettings(jump_px=2.0, erode=0, facing=0.1)
+ROUGH = GridSettings(jump_px=2.0, bridge=0, erode=0, facing=0.1)
 """Keeps ragged edges and some webbing between fingers, as raw scans have them."""
 
 
@@ -100,6 +104,7 @@ def range_grid(
     """Triangulate and filter one unit's disparities; ``glass`` is what it may look through."""
     limits = settings or GridSettings()
     disparity = _without_edges(grid.disparity, limits).astype(np.float64)
+    sigma = bridged(grid.sigma, limits.bridge)
     rows, columns = np.indices(disparity.shape) * grid.step
     world = triangulate(pair, columns, rows, disparity, glass)
     camera = _seeming(pair.camera, world, glass)
@@ -115,7 +120,7 @@ def range_grid(
         points=np.where(keep[..., None], points, np.nan),
         normals=np.where(keep[..., None], normals, np.nan),
         facing=np.where(keep, facing, np.nan),
-        sigma_m=np.where(keep, grid.sigma * per_px, np.nan),
+        sigma_m=np.where(keep, sigma * per_px, np.nan),
         correlation=grid.correlation,
     )
 
@@ -124,10 +129,33 @@ def _without_edges(disparity: NDArray[np.float32], limits: GridSettings) -> NDAr
     known = np.isfinite(disparity)
     median = cv2.medianBlur(np.where(known, disparity, -999).astype(np.float32), 5)
     calm = known & (np.abs(np.nan_to_num(disparity) - median) <= limits.jump_px)
+    whole = bridged(np.where(calm, disparity, np.nan).astype(np.float32), limits.bridge)
     if limits.erode:
         n = 2 * limits.erode + 1
-        calm = cv2.erode(calm.astype(np.uint8), np.ones((n, n), np.uint8)) > 0
-    return np.where(calm, disparity, np.nan).astype(np.float32)
+        inner = cv2.erode(np.isfinite(whole).astype(np.uint8), np.ones((n, n), np.uint8)) > 0
+        whole = np.where(inner, whole, np.nan).astype(np.float32)
+    return whole
+
+
+def bridged(values: NDArray[np.float32], passes: int) -> NDArray[np.float32]:
+    """Fill samples (h, w) that lie between known ones in at least two of four directions.
+
+    Each direction gives the mean of its two ends, so that a plane is continued exactly.
+    """
+    found = values.copy()
+    for _ in range(passes):
+        wide = np.pad(found, 1, constant_values=np.nan)
+        height, width = found.shape
+        total, count = np.zeros_like(found), np.zeros_like(found)
+        for j, i in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            ahead = wide[1 + j : 1 + j + height, 1 + i : 1 + i + width]
+            behind = wide[1 - j : 1 - j + height, 1 - i : 1 - i + width]
+            middle = (ahead + behind) / 2
+            count += np.isfinite(middle)
+            total += np.nan_to_num(middle)
+        gap = ~np.isfinite(found) & (count >= 2)
+        found[gap] = total[gap] / count[gap]
+    return found
 
 
 def triangulate(

@@ -13,6 +13,7 @@ from synthgen.errors import ScanError
 from synthgen.geometry.topology import boundary_edges
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.provenance import measured_by, truth_of
+from synthgen.scanner.range_grid import bridged
 from synthgen.scanner.subject import scene_of
 from synthgen.scanner.tsdf import BRICK, Field, FusionSettings, fuse
 
@@ -95,3 +96,13 @@ def test_edge_empty(front: list[Any]) -> None:
         extract(Field(np.zeros(3), 0.001, np.full((8, 8, 8), np.nan, np.float32)), 1)
     with pytest.raises(ScanError, match="no piece"):
         extract(fuse(front, SETTINGS), 10**6)
+
+
+def test_properties_small_gaps_are_bridged_and_wide_ones_stay() -> None:
+    ramp = np.add.outer(np.arange(20.0), 2 * np.arange(20.0)).astype(np.float32)
+    holed = ramp.copy()
+    holed[5, 5] = np.nan
+    holed[10:16, 10:16] = np.nan
+    filled = bridged(holed, 2)
+    assert filled[5, 5] == pytest.approx(ramp[5, 5], abs=1e-4)
+    assert np.isnan(filled[12:14, 12:14]).all()
