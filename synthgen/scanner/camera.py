@@ -194,6 +194,8 @@ def integrate(
     """
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
+    if not len(pixels):
+        return np.zeros((0, channels), dtype=np.float32)
     lens = Lens(stage, camera)
     index = mi.UInt32(pixels)
     wide = dr.opaque(mi.UInt32, camera.width)

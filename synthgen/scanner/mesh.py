@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 MAX_FACES = 2_000_000
-_MAX_LEVELS = 6
+_MAX_LEVELS = 10
 _H = 0.5
 # Corner barycentrics of the children of a triangle with edge points ab, bc, ca.
 _CHILDREN = np.array(
@@ -111,13 +111,14 @@ class DrawnMesh:
 def drawn_mesh(scene: ScanScene, edge_m: float) -> DrawnMesh:
     """Split the solids of a scene until a typical edge is at most ``edge_m``.
 
-    Stops earlier at two million triangles in all.
+    Stops earlier at two million triangles, of which every solid may have an equal share; an infinite
+    ``edge_m`` splits nothing.
     """
-    total = sum(len(solid.faces) for solid in scene.solids)
+    share = MAX_FACES / len(scene.solids)
     parts: list[Part] = []
     first_face = first_vertex = 0
     for solid in scene.solids:
-        levels = _levels(solid, edge_m, MAX_FACES / max(total, 1))
+        levels = _levels(solid, edge_m, share / len(solid.faces))
         part = _part(solid, levels, first_face, first_vertex)
         parts.append(part)
         first_face += len(part.faces)
@@ -139,7 +140,7 @@ def typical_edge(points: Array, faces: Ids) -> float:
 
 def _levels(solid: Solid, edge_m: float, room: float) -> int:
     edge = typical_edge(solid.vertices, solid.faces)
-    wanted = max(0, int(np.ceil(np.log2(max(edge, 1e-12) / edge_m))))
+    wanted = int(np.ceil(np.log2(max(edge / edge_m, 1.0))))
     return min(wanted, _MAX_LEVELS, max(0, int(np.log(max(room, 1.0)) / np.log(4.0))))
 
 

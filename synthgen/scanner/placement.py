@@ -18,14 +18,14 @@ def check_placement(scene: ScanScene, rig: Rig) -> None:
     Raises
     ------
     ScanError
-        If there is no solid, no vertex lies in the working volume, or a camera or projector
+        If there is no solid, no triangle reaches into the working volume, or a camera or projector
         stands inside a solid or inside the glass; the message names it.
     """
     if not scene.solids:
         raise ScanError(f"rig {rig.name}: the scene holds no solid; give at least one mesh")
-    points = np.concatenate([solid.vertices for solid in scene.solids])
     half = np.array(rig.volume_m) / 2
-    if not (np.abs(points) <= half).all(axis=1).any():
+    if not any(_reaches(solid, half) for solid in scene.solids):
+        points = np.concatenate([solid.vertices for solid in scene.solids])
         low, high = points.min(axis=0), points.max(axis=0)
         raise ScanError(
             f"rig {rig.name}: the working volume is {_box(-half, half)} m about the origin, the "
@@ -42,6 +42,13 @@ def check_placement(scene: ScanScene, rig: Rig) -> None:
         glass = rig.glass
         if glass and 0 <= glass.top_m - position[1] <= glass.thickness_m:
             raise ScanError(f"rig {rig.name}: {name} at {_point(position)} m is inside the glass")
+
+
+def _reaches(solid: Solid, half: Array) -> bool:
+    """Tell whether the bounding box of some triangle meets the box from ``-half`` to ``half``."""
+    corners = solid.vertices[solid.faces]
+    meets = (corners.min(axis=1) <= half) & (corners.max(axis=1) >= -half)
+    return bool(meets.all(axis=1).any())
 
 
 def _devices(rig: Rig) -> list[tuple[str, Array]]:

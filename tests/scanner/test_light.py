@@ -11,6 +11,7 @@ import pytest
 from synthgen.render import backend
 from synthgen.scanner import ScanScene, light_reference, solid_from_mesh
 from synthgen.scanner.camera import Lens, speckle_look
+from synthgen.scanner.mesh import drawn_mesh
 from synthgen.scanner.rig import Rig
 from synthgen.scanner.softlight import soft_light
 from synthgen.scanner.stage import Effects, Stage, prepare
@@ -37,7 +38,7 @@ def compare(scene: ScanScene, rig: Rig, effects: Effects = DIRECT) -> tuple[np.n
     stage = prepare(scene, rig, rng=np.random.Generator(np.random.Philox(1)), effects=effects)
     camera = rig.units[0].true.left
     pixels = grid(camera, 9)
-    wanted = light_reference.radiance(stage.mesh, rig, camera, pixels, 0)
+    wanted = light_reference.radiance(drawn_mesh(scene, np.inf), rig, camera, pixels, 0)
     return looked(stage, camera, pixels), wanted
 
 
