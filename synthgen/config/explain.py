@@ -129,7 +129,7 @@ def _at(names: list[str], schema: dict[str, Any]) -> dict[str, Any]:
         inside = _resolve(node, schema)
         own = inside.get("properties", {}).get(name)
         # A mapping by free names, such as the units of a rig, has one schema for all of them.
-        free = next(iter(inside.get("patternProperties", {}).values()), {})
+        free: dict[str, Any] = next(iter(inside.get("patternProperties", {}).values()), {})
         node = _resolve(own or free, schema)
     return node
 

@@ -1,15 +1,32 @@
 """Speckle-projector active-stereo scanners: rigs, light, exposure, reconstruction."""
 
+from synthgen.scanner.files import save_scan
 from synthgen.scanner.load import list_rigs, load_rig
-from synthgen.scanner.rig import Rig
+from synthgen.scanner.pipeline import scan
+from synthgen.scanner.result import Scan, UnitScan
+from synthgen.scanner.rig import Rig, scaled
+from synthgen.scanner.segment import CropPlane, is_green, segment
+from synthgen.scanner.settings import ScanSettings, settings_for
+from synthgen.scanner.stage import Effects
 from synthgen.scanner.subject import ScanScene, Solid, Surface, solid_from_mesh
 
 __all__ = [
+    "CropPlane",
+    "Effects",
     "Rig",
+    "Scan",
     "ScanScene",
+    "ScanSettings",
     "Solid",
     "Surface",
+    "UnitScan",
+    "is_green",
     "list_rigs",
     "load_rig",
+    "save_scan",
+    "scaled",
+    "scan",
+    "segment",
+    "settings_for",
     "solid_from_mesh",
 ]

@@ -34,14 +34,14 @@ def perturbed(
         )
         focal = 1 + error.focal * rng.standard_normal()
         cx, cy = error.principal_px * rng.standard_normal(2)
-        k1, *others = camera.distortion
+        k1, k2, p1, p2, k3 = camera.distortion
         return replace(
             camera,
             fx=camera.fx * focal,
             fy=camera.fy * focal,
             cx=camera.cx + float(cx),
             cy=camera.cy + float(cy),
-            distortion=(k1 + float(error.k1 * rng.standard_normal()), *others),
+            distortion=(k1 + float(error.k1 * rng.standard_normal()), k2, p1, p2, k3),
             T_world_from_camera=tuple(tuple(float(v) for v in row) for row in T),
         )
 

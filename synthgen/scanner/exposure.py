@@ -139,7 +139,7 @@ def integrated(
     camera_number = 3 * unit.index + ROLES.index(role)
     key = int(stream(stage.key, "sample", camera_number, 0, "jitter").integers(2**32))
     shape = camera.height, camera.width, len(background)
-    picture = np.tile(np.float32(background), (camera.height * camera.width, 1))
+    picture = np.tile(np.array(background, np.float32), (camera.height * camera.width, 1))
     if stage.rigid:
         pixels, sampling = region(stage, camera, shutter), Sampling(spp, key)
         seen = integrate(stage, camera, pixels, shutter, sampling, look(), len(background))

@@ -136,4 +136,5 @@ def _gloss(surfaces: list[Any], normal: Array, way: Array, view: Array) -> Array
     spread = alpha2 / (nh * nh * (alpha2 - 1) + 1) ** 2
     shadow = [2 * c / (c + np.sqrt(alpha2 + (1 - alpha2) * c * c)) for c in (np.abs(nl), nv)]
     fresnel = _F0 + (1 - _F0) * (1 - np.einsum("nk,nk->n", view, half)) ** 5
-    return weight * spread * fresnel * shadow[0] * shadow[1] / (4 * nv * np.maximum(nl, 1e-3))
+    lobe = spread * fresnel * shadow[0] * shadow[1] / (4 * nv * np.maximum(nl, 1e-3))
+    return np.asarray(weight * lobe)

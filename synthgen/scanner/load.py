@@ -163,10 +163,12 @@ def _calibration(spec: RigSpec, where: PlaceSpec) -> Calibration:
         shift = side * focal * half / where.distance_m if spec.pair.axes == "shifted" else 0.0
         pair.append(_camera(spec.pair.camera, focal, pose, shift))
     if spec.colour is None:
-        return Calibration(*pair, None)
+        return Calibration(pair[0], pair[1], None)
     eye = _offset(T, spec.colour.offset_m)
     focal = where.distance_m / spec.colour.camera.gsd_m
-    return Calibration(*pair, _camera(spec.colour.camera, focal, _towards(T, eye, target)))
+    return Calibration(
+        pair[0], pair[1], _camera(spec.colour.camera, focal, _towards(T, eye, target))
+    )
 
 
 def _camera(kind: CameraSpec, focal: float, T: Array, shift_px: float = 0.0) -> Camera:

@@ -111,8 +111,8 @@ class DrawnMesh:
 def drawn_mesh(scene: ScanScene, edge_m: float) -> DrawnMesh:
     """Split the solids of a scene until a typical edge is at most ``edge_m``.
 
-    Stops earlier at two million triangles, of which every solid may have an equal share; an infinite
-    ``edge_m`` splits nothing.
+    Stops earlier at two million triangles, of which every solid may have an equal share. With an
+    infinite ``edge_m`` nothing is split.
     """
     share = MAX_FACES / len(scene.solids)
     parts: list[Part] = []

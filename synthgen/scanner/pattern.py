@@ -119,7 +119,8 @@ def pyramid(image: Image) -> list[NDArray[np.uint8]]:
             image, (0, 0), scale * np.sqrt(0.75), borderType=cv2.BORDER_REPLICATE
         )
         n = max(int(np.ceil(len(image) / scale)), 2)
-        levels.append(cv2.resize(blurred, (n, n), interpolation=cv2.INTER_AREA))
+        small = cv2.resize(blurred, (n, n), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(small, dtype=np.float32))
     return [np.asarray(np.rint(255 * np.clip(level, 0, 1)), dtype=np.uint8) for level in levels]
 
 

@@ -61,9 +61,10 @@ def optical(radiance: Image, sensor: Sensor, camera: Camera) -> Image:
     picture = radiance
     if sensor.vignetting:
         picture = picture * _falloff(camera) ** np.float32(sensor.vignetting)
-    if sensor.psf_px:
-        picture = cv2.GaussianBlur(picture, (0, 0), sensor.psf_px, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(picture, dtype=np.float32)
+    if not sensor.psf_px:
+        return picture
+    blurred = cv2.GaussianBlur(picture, (0, 0), sensor.psf_px, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, dtype=np.float32)
 
 
 def _falloff(camera: Camera) -> Image:

@@ -111,7 +111,7 @@ def seen_from(
     mi: Any = backend.mitsuba()
     stage.pose(time_s)
     points = np.asarray(points_m, dtype=np.float64)
-    known = np.isfinite(points).all(axis=1)
+    known = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(known[:, None], points, 0.0)
     eyes = seen_position(stage.rig.glass, camera.position, points)
     way = eyes - points

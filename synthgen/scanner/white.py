@@ -196,7 +196,7 @@ def _look(stage: Stage, white: WhiteLight) -> Look:
     centres = mi.Float(white.panels.astype(np.float32).ravel())
     count, power = dr.opaque(mi.UInt32, len(white.panels)), number(white.power)
 
-    def look(rays: Rays, shift: Any, active: Any) -> tuple[Any, Any, Any]:
+    def look(rays: Rays, shift: Any, active: Any) -> tuple[Any, ...]:
         met = meet(stage, rays, active)
         mixed, colour = met.mixed(white.normals), met.mixed(white.radiance)
         normal = dr.normalize(mi.Normal3f(mixed.x, mixed.y, mixed.z))
@@ -215,7 +215,7 @@ def _look(stage: Stage, white: WhiteLight) -> Look:
         return tuple(
             dr.select(met.front, (c + gloss) * rays.passed, 0)
             for c in (colour.x, colour.y, colour.z)
-        )  # type: ignore[return-value]
+        )
 
     return look
 

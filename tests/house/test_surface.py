@@ -16,8 +16,8 @@ from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
 
 TOP = [
-    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scene",
-    "verify",
+    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scanner",
+    "scene", "verify",
 ]  # fmt: skip
 MODELS = {"ManoModel", "Posed", "list_models", "load"}
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
@@ -33,7 +33,7 @@ KEYS = [
 ]  # fmt: skip
 _CONFIG = ["CONFIG"]
 VERBS = {
-    "doctor": ["--json"],
+    "doctor": ["rig", "NAME", "--seed", "--out", "--json"],
     "models list": ["--json"],
     "models show": ["NAME", "--hand", "--json"],
     "models build": ["NAME", "--source", "--out", "--json"],
