@@ -61,7 +61,7 @@ def test_properties_vertex_colours() -> None:
 
 
 def test_reference_irradiance_and_shadow_of_a_panel() -> None:
-    """A facing sheet at the origin has irradiance 1; behind a ball in the panel's way it is dark."""
+    """All of a panel's light reaches a facing sheet, and none behind a ball in its way."""
     rig = replace(mini(), light=replace(mini().light, white=((0.0, 0.0, 0.6),), white_size_m=0.02))
     sheet = solid_from_mesh(wall(0.05, 0.0), replace(SKIN, subsurface=0.0), smooth=False)
     blocker = solid_from_mesh(ball(0.006, (0, 0, 0.02)), SKIN)
