@@ -112,13 +112,13 @@ def drawn_mesh(scene: ScanScene, edge_m: float) -> DrawnMesh:
     """Split the solids of a scene until a typical edge is at most ``edge_m``.
 
     Stops earlier at two million triangles, of which every solid may have an equal share. With an
-    infinite ``edge_m`` nothing is split.
+    infinite ``edge_m`` nothing is split, and stands (walls, floors) never are.
     """
     share = MAX_FACES / len(scene.solids)
     parts: list[Part] = []
     first_face = first_vertex = 0
     for solid in scene.solids:
-        levels = _levels(solid, edge_m, share / len(solid.faces))
+        levels = 0 if solid.kind == "stand" else _levels(solid, edge_m, share / len(solid.faces))
         part = _part(solid, levels, first_face, first_vertex)
         parts.append(part)
         first_face += len(part.faces)
@@ -133,9 +133,16 @@ def drawn_mesh(scene: ScanScene, edge_m: float) -> DrawnMesh:
 
 
 def typical_edge(points: Array, faces: Ids) -> float:
-    """Return the edge of the equilateral triangle that has the 90th percentile of the areas."""
+    """Return an edge length that 90 % of the triangles do not exceed, metres.
+
+    That of the equilateral triangle of the same area, or 0.6 of the longest side where triangles
+    are slivers.
+    """
     area = 0.5 * np.linalg.norm(face_cross(points, faces), axis=1)
-    return float(np.sqrt(np.quantile(area, 0.9) * 4 / np.sqrt(3)))
+    sides = points[faces] - points[np.roll(faces, -1, axis=1)]
+    longest = np.sqrt(np.einsum("fkj,fkj->fk", sides, sides).max(axis=1))
+    edge = np.maximum(np.sqrt(area * 4 / np.sqrt(3)), 0.6 * longest)
+    return float(np.quantile(edge, 0.9))
 
 
 def _levels(solid: Solid, edge_m: float, room: float) -> int:

@@ -75,6 +75,8 @@ class Stage:
         Faces too long for light at their corners to stand for them.
     skins : list of Diffusion or None
         Per solid.
+    gsd_m : float
+        Smallest size of a pixel at the origin.
     notes : list of str
         What could not be done as asked.
     """
@@ -83,9 +85,9 @@ class Stage:
         self.rig, self.key, self.effects = rig, key, effects
         self.kept: dict[Any, Any] = {}
         self.notes: list[str] = []
-        gsd = min(_gsd(unit_.nominal.left) for unit_ in rig.units)
-        self.fine_m = _FINE_PX * gsd
-        self.mesh: DrawnMesh = drawn_mesh(scene, _wanted_edge(scene, rig, effects, gsd))
+        self.gsd_m = min(_gsd(unit_.nominal.left) for unit_ in rig.units)
+        self.fine_m = _FINE_PX * self.gsd_m
+        self.mesh: DrawnMesh = drawn_mesh(scene, _wanted_edge(scene, rig, effects, self.gsd_m))
         self.rigid, self.velocity_m_s = _common_velocity(scene)
         self._mi: Any = backend.mitsuba()
         self._dr: Any = backend.drjit()
@@ -133,17 +135,22 @@ class Stage:
         found: list[Diffusion | None] = []
         for k, part in enumerate(self.mesh.parts):
             surface = part.solid.surface
-            wanted = self.effects.subsurface and surface.subsurface > 0 and surface.subsurface_m > 0
+            sigma, problem = surface.subsurface_m, None
+            if not self.effects.subsurface or surface.subsurface == 0:
+                found.append(None)
+                continue
             edge = typical_edge(part.points, part.faces)
-            if wanted and edge > surface.subsurface_m / _SKIN_FINE:
+            if sigma <= self.gsd_m:
+                problem = f"it would be finer than a pixel ({1e3 * self.gsd_m:.2f} mm)"
+            elif edge > sigma / _SKIN_FINE:
+                problem = f"the triangles ({1e3 * edge:.2f} mm) are too coarse for it"
+            if problem is not None:
                 self.notes.append(
-                    f"solid {k}: no blur below the skin, since its triangles ({1e3 * edge:.2f} mm) "
-                    f"are too coarse for a sigma of {1e3 * surface.subsurface_m:.2f} mm"
+                    f"solid {k}: no blur of {1e3 * sigma:.2f} mm below the skin: {problem}"
                 )
-                wanted = False
                 self._switch_off_skin(k)
-            points, faces = part.points, part.faces
-            found.append(heat_flow(points, faces, surface.subsurface_m) if wanted else None)
+            flow = heat_flow(part.points, part.faces, sigma) if problem is None else None
+            found.append(flow)
         return found
 
     def _switch_off_skin(self, solid: int) -> None:
@@ -199,8 +206,8 @@ def _wanted_edge(scene: ScanScene, rig: Rig, effects: Effects, gsd: float) -> fl
     """Return the edge of triangles that keep light well: pixels, blobs and skin say how fine."""
     dot = min(p.pattern.dot_px * p.focus_m / p.optics.fx for p in rig.projectors)
     sigmas = [s.surface.subsurface_m for s in scene.solids if s.surface.subsurface > 0]
-    skin = min((sigma for sigma in sigmas if sigma > 0.5 * gsd), default=np.inf)
-    return min(_FINE_PX * gsd, _SKIN_FINE * skin, 0.75 * dot if effects.subsurface else np.inf)
+    seen = [sigma for sigma in sigmas if sigma > gsd and effects.subsurface]
+    return min(_FINE_PX * gsd, *(min(_SKIN_FINE * sigma, 0.75 * dot) for sigma in seen), np.inf)
 
 
 def _common_velocity(scene: ScanScene) -> tuple[bool, Array]:
