@@ -5,14 +5,14 @@ The docstring under a field is its documentation, printed by ``synthgen config s
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from synthgen.config.sections import FillRange, FovRange, Section, UnitRange, Weight, Weighted
 
-Column = Literal["image", "depth", "labels", "meta", "exr"]
-COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr")
+Column = Literal["image", "depth", "labels", "meta", "exr", "scan", "stereo"]
+COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr", "scan", "stereo")
 
 
 class ModelSettings(Section):
@@ -145,10 +145,23 @@ class RenderSettings(Section):
 def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     missing = [name for name in COLUMNS[:4] if name not in columns]
     if missing:
-        raise ValueError(f"{', '.join(missing)} missing; only exr may be left out")
+        raise ValueError(f"{', '.join(missing)} missing; only exr, scan and stereo may be left out")
     if len(set(columns)) != len(columns):
         raise ValueError("a column is named twice")
     return tuple(name for name in COLUMNS if name in columns)
+
+
+class ScannerSettings(Section):
+    """A speckle scanner around the hand; needs the column scan, and stereo for its pictures."""
+
+    rig: str | None = Field(default=None, min_length=1, max_length=4096)
+    """Name of a rig (``scenes/rigs``) or path of a YAML file; null scans nothing."""
+
+    level: Literal["full", "half", "model"] = "full"
+    """Full or half resolution, or `model`: no pictures, errors from a fitted noise model."""
+
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    """Scanner seed: one frozen draw of calibration errors, slides and sensor flaws."""
 
 
 class CorpusSettings(Section):
@@ -158,7 +171,8 @@ class CorpusSettings(Section):
     """Samples per shard: the unit of work, of commit and of resuming."""
 
     columns: Annotated[tuple[Column, ...], AfterValidator(_columns)] = COLUMNS[:4]
-    """What is written: image, depth, labels and meta always, exr (linear, float depth) if asked."""
+    """What is written: image, depth, labels and meta always; if asked exr (linear, float
+    depth), scan (coloured mesh) and stereo (rectified speckle pairs, disparities, calibration)."""
 
     jpeg_quality: int = Field(default=95, ge=50, le=100)
     """Quality of the JPEG pictures, percent."""
@@ -183,4 +197,16 @@ class Config(Section):
     background: BackgroundSettings = BackgroundSettings()
     skin: SkinSettings = SkinSettings()
     render: RenderSettings = RenderSettings()
+    scanner: ScannerSettings = ScannerSettings()
     corpus: CorpusSettings = CorpusSettings()
+
+    @model_validator(mode="after")
+    def _scans_need_a_rig(self) -> Self:
+        asked = [name for name in ("scan", "stereo") if name in self.corpus.columns]
+        if asked and self.scanner.rig is None:
+            raise ValueError(f"corpus.columns has {asked[0]} but scanner.rig is null; name a rig")
+        if self.scanner.rig is not None and "scan" not in self.corpus.columns:
+            raise ValueError("scanner.rig is set; add scan to corpus.columns, or set it to null")
+        if "stereo" in asked and self.scanner.level == "model":
+            raise ValueError("scanner.level model takes no pictures: leave the column stereo out")
+        return self

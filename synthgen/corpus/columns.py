@@ -12,6 +12,8 @@ labels      KEY.part.png        8-bit part ids
 ..          KEY.uv.png          16-bit x 3: u, v * 65535, third channel 0
 meta        KEY.json            everything that the sample was made from, cameras, keypoints
 exr         KEY.exr             OpenEXR: half R G B linear, float Z, uint part and instance, K
+scan        KEY.scan.ply ...    see :mod:`synthgen.corpus.scans`; view 0 only
+stereo      KEY.UNIT.left.png   see :mod:`synthgen.corpus.scans`; view 0 only
 ==========  ==================  ============================================================
 """
 
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +45,13 @@ def key_of(index: int, view: int) -> str:
     return f"{index:09d}_{view:02d}"
 
 
+@dataclass(frozen=True, eq=False)
+class ScannedView(RenderedView):
+    """A view that brings encoded members of the columns scan and stereo with it."""
+
+    members: dict[str, Members] = field(default_factory=dict)
+
+
 def encode_view(
     spec: SampleSpec, number: int, view: RenderedView, columns: tuple[str, ...], quality: int
 ) -> dict[str, Members]:
@@ -57,7 +67,9 @@ def encode_view(
     }
     if "exr" in columns:
         encoded["exr"] = {"exr": _exr(view)}
-    return {name: encoded[name] for name in columns}
+    if isinstance(view, ScannedView):
+        encoded |= view.members
+    return {name: encoded.get(name, {}) for name in columns}
 
 
 def _label_members(view: RenderedView) -> Members:

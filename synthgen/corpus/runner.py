@@ -57,7 +57,12 @@ def render_attempts(config: Config) -> Attempt:
     """Return the real maker: a renderer that persists for the life of the worker."""
     from synthgen.render.renderer import Renderer
 
-    return Renderer(config.render.variant).attempt
+    renderer = Renderer(config.render.variant)
+    if config.scanner.rig is None:
+        return renderer.attempt
+    from synthgen.corpus.scanning import Scanning
+
+    return Scanning(config, renderer.attempt).attempt
 
 
 def generate(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from synthgen.errors import CorpusError
 from synthgen.models import ManoModel, load
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject
+
+if TYPE_CHECKING:
+    from synthgen.scanner import Scan
 
 Fetch = Callable[[str, str], bytes]
 
@@ -254,15 +257,18 @@ def _hand(row: dict[str, Any]) -> HandView:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample: its views, its truth, and the spec it was made from.
-
-    ``scan`` is None: this corpus simulates no scanner.
-    """
+    """One sample: its views, its truth, and the spec it was made from."""
 
     index: int
     views: tuple[View, ...]
     spec: SampleSpec
-    scan: None = None
+
+    @cached_property
+    def scan(self) -> Scan | None:
+        """The scan of the hand, in the sample's world, or None where the corpus has no scanner."""
+        from synthgen.corpus.scans import read_scan
+
+        return read_scan(self.views[0].key, self.views[0].stored_member)
 
     @cached_property
     def subjects(self) -> list[Subject]:

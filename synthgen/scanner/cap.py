@@ -26,14 +26,15 @@ def cut_and_cap(
 
     Parameters
     ----------
-    vertices : (V, 3) float
+    vertices : (V, 3 + n) float
+        Positions, and whatever else belongs to a vertex.
     faces : (F, 3) int
     plane : CropPlane, optional
         None cuts nothing.
 
     Returns
     -------
-    vertices : (W, 3) float64
+    vertices : (W, 3 + n) float64
     faces : (G, 3) int64
         What is kept, in order, then the fans.
     source : (G,) int64
@@ -47,7 +48,7 @@ def cut_and_cap(
     points, kept = np.asarray(vertices, np.float64), np.arange(len(faces))
     given = np.asarray(faces, np.int64)
     if plane is not None:
-        kept = kept[plane.keeps(points)[given].all(axis=1)]
+        kept = kept[plane.keeps(points[:, :3])[given].all(axis=1)]
     kept = _without_pinches(given, kept)
     if not len(kept):
         raise ShapeError(f"nothing lies on the side of {plane} that is kept; turn its normal")
@@ -57,7 +58,7 @@ def cut_and_cap(
         tips.append(points[loop].mean(axis=0))
         fans.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), tip)], axis=1))
     whole = np.concatenate([given[kept], *fans])
-    points = np.concatenate([points, np.array(tips).reshape(-1, 3)])
+    points = np.concatenate([points, np.array(tips).reshape(-1, points.shape[1])])
     used, index = np.unique(whole, return_inverse=True)
     source = np.concatenate([kept, np.full(len(whole) - len(kept), -1)])
     return points[used], index.reshape(-1, 3).astype(np.int64), source.astype(np.int64)

@@ -12,10 +12,11 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from synthgen.errors import ScanError
+from synthgen.errors import IntegrityError, ScanError
 from synthgen.scanner.result import Scan
 
 _PLY_NAMES = {"f4": "float", "u1": "uchar", "i2": "short", "i4": "int"}
+_FACE = np.dtype([("n", "u1"), ("v", "<i4", (3,))])
 FORMATS = (".ply", ".glb", ".obj")
 
 
@@ -64,7 +65,7 @@ def ply_bytes(scan: Scan) -> bytes:
     table = np.empty(len(scan.vertices), dtype=[(name, "<" + kind) for name, kind in names])
     for (name, _), values in zip(names, columns, strict=True):
         table[name] = values
-    rows = np.empty(len(scan.faces), dtype=[("n", "u1"), ("v", "<i4", (3,))])
+    rows = np.empty(len(scan.faces), dtype=_FACE)
     rows["n"], rows["v"] = 3, scan.faces
     header = [
         "ply", "format binary_little_endian 1.0", "comment metres, rig frame, y up",
@@ -73,6 +74,29 @@ def ply_bytes(scan: Scan) -> bytes:
         f"element face {len(rows)}", "property list uchar int vertex_indices", "end_header", "",
     ]  # fmt: skip
     return "\n".join(header).encode() + table.tobytes() + rows.tobytes()
+
+
+def read_ply(data: bytes, what: str) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+    """Read what :func:`ply_bytes` wrote: vertex properties by name, and faces (F, 3).
+
+    Raises
+    ------
+    IntegrityError
+        Naming ``what``, if it is no such file.
+    """
+    try:
+        head, _, body = data.partition(b"end_header\n")
+        lines = head.decode("ascii").splitlines()
+        count, faces = (int(line.split()[2]) for line in lines if line.startswith("element"))
+        kinds = {word: "<" + code for code, word in _PLY_NAMES.items()}
+        named = [line.split()[1:] for line in lines if line.startswith("property")]
+        dtype = np.dtype([(name, kinds[word]) for word, name in named[:-1]])
+        table = np.frombuffer(body, dtype, count)
+        rows = np.frombuffer(body, _FACE, faces, offset=table.nbytes)
+    except (ValueError, KeyError, UnicodeDecodeError) as error:
+        raise IntegrityError(f"{what} is damaged: no scan can be read from it ({error})") from None
+    columns = {name: np.ascontiguousarray(table[name]) for name in dtype.names or ()}
+    return columns, np.ascontiguousarray(rows["v"])
 
 
 def glb_bytes(scan: Scan) -> bytes:

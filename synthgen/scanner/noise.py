@@ -5,7 +5,7 @@ are one error, on slanted surfaces they grow, near edges samples are missing and
 has just these: white noise smoothed to the window's scale, a standard deviation that grows with
 the disparity's slope, a share of wilder errors, smoothing of the shape itself, and the chance that
 a sample is matched at all by its distance from the nearest edge and by its slope.
-``benchmarks/fit_scanner_noise.py`` fits it; the results are ``scenes/noise/*.yaml``.
+``benchmarks/scanner_noise.py`` fits it; the results are ``scenes/noise/*.yaml``.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def load_noise(name: str) -> NoiseModel:
     if name not in known:
         raise ConfigError(
             f"no noise model {name!r}{nearest(name, known)}; there are {', '.join(known)}. Fit one "
-            "with benchmarks/fit_scanner_noise.py, or use level full or half"
+            "with benchmarks/scanner_noise.py, or use level full or half"
         )
     document = read_yaml(known[name])
     origins = {key: f"{known[name]}, line {line}" for key, line in document.lines.items()}

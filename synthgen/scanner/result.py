@@ -8,6 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.geometry.cameras import Camera
+from synthgen.geometry.transforms import apply
 from synthgen.scanner.rectify import Rectified
 
 Level = Literal["full", "half", "model"]
@@ -88,6 +90,16 @@ class Scan:
     level: Level = "full"
     problem: str | None = field(default=None)
 
+    def moved(self, transform: NDArray[Any]) -> Scan:
+        """Return the scan after a rigid ``T_dst_from_src`` (4, 4), calibrations included."""
+        T = np.asarray(transform, np.float64)
+        return replace(
+            self,
+            vertices=apply(T, self.vertices).astype(np.float32),
+            normals=(self.normals @ T[:3, :3].T).astype(np.float32),
+            units=tuple(replace(u, pair=_moved_pair(u.pair, T)) for u in self.units),
+        )
+
     def keep(self, vertices: NDArray[np.bool_]) -> Scan:
         """Return the scan with only some vertices (V,) and the faces between them."""
         faces = self.faces[vertices[self.faces].all(axis=1)]
@@ -102,6 +114,15 @@ class Scan:
             corner_uv=self.corner_uv[vertices[self.faces].all(axis=1)],
             provenance={name: values[vertices] for name, values in self.provenance.items()},
         )
+
+
+def _moved_pair(pair: Rectified, T: NDArray[np.float64]) -> Rectified:
+    def move(camera: Camera) -> Camera:
+        rows = tuple(tuple(float(v) for v in row) for row in T @ camera.T)
+        return replace(camera, T_world_from_camera=rows)
+
+    left, right, view = move(pair.left), move(pair.right), move(pair.camera)
+    return replace(pair, left=left, right=right, camera=view)
 
 
 def empty_scan(units: tuple[UnitScan, ...], level: Level, problem: str) -> Scan:
