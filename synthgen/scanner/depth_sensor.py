@@ -29,10 +29,8 @@ from synthgen.scanner.stage import Effects, prepare
 from synthgen.scanner.subject import ScanScene
 
 DepthLevel = Literal["full", "model"]
-# Pixels along the longer edge from which pictures are matched as they are.
-_ENOUGH_PX = 480
 _LARGEST_DISPARITY = 126
-_FARTHEST_M = 10.0
+_NEAREST_M, _FARTHEST_M = 0.15, 10.0
 # Skin blurs by less than these cameras' pixels.
 _EFFECTS = Effects(subsurface=False, bounce=False)
 # No working volume limits a device that is carried about.
@@ -57,7 +55,7 @@ class SensorDepth:
 
 def sense_depth(
     scene: ScanScene, camera: Camera, rig: Rig, *, rng: np.random.Generator,
-    level: DepthLevel = "full",
+    level: DepthLevel = "full", enough_px: int = 480,
 ) -> SensorDepth:  # fmt: skip
     """Measure the depth of a scene from a camera's place.
 
@@ -72,13 +70,16 @@ def sense_depth(
     level : {"full", "model"}
         Dot pictures and census matching, or ideal disparities with the noise model that was fitted
         to them.
+    enough_px : int
+        The device's pictures are whole multiples of the view's, nearest to this many pixels along
+        the longer edge.
 
     Raises
     ------
     ConfigError
         If the rig is no such device.
     """
-    factor = max(1, round(_ENOUGH_PX / max(camera.width, camera.height)))
+    factor = max(1, round(enough_px / max(camera.width, camera.height)))
     device = device_for(rig, camera, factor)
     unit = device.units[0]
     T = unit.nominal.left.T @ invert(camera.T)
@@ -157,7 +158,7 @@ def _pair(unit: Unit) -> Rectified:
 
 
 def _bounds(pair: Rectified) -> tuple[float, float]:
-    nearest = float(_LARGEST_DISPARITY)
+    nearest = min(float(pair.disparity(_NEAREST_M)), float(_LARGEST_DISPARITY))
     return min(float(pair.disparity(_FARTHEST_M)), nearest - 1), nearest
 
 
