@@ -16,6 +16,8 @@ from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_pictu
 from synthgen.corpus.plan import CONFIG
 from synthgen.corpus.reading import Corpus, open_corpus
 from synthgen.corpus.sample import Sample
+from synthgen.corpus.scan_pictures import scan_pictures
+from synthgen.scanner import Scan
 
 
 def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str, Any]:
@@ -53,6 +55,9 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         ],
         "pictures": [str(_pictures(corpus, sample, k)) for k in range(len(sample.views))],
     }  # fmt: skip
+    if sample.scan is not None:
+        found["scan"] = _scan(sample.scan)
+        found["pictures"] += [str(path) for path in _scan_pictures(corpus, sample, sample.scan)]
     if remake:
         found["remake"] = compare(corpus, sample)
     return found
@@ -72,6 +77,29 @@ def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
     return path
 
 
+def _scan(scan: Scan) -> dict[str, Any]:
+    """Return how large and how wrong a scan is, JSON types."""
+    error = scan.provenance["error_m"].astype(np.float64)
+    return {
+        "level": scan.level,
+        "vertices": len(scan.vertices),
+        "faces": len(scan.faces),
+        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "median_m": float(np.median(error)),
+        "coloured": float((scan.provenance["colour_unit"] >= 0).mean()),
+        "units": {unit.ident: unit.problem for unit in scan.units},
+    }
+
+
+def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
+    paths = []
+    for name, picture in scan_pictures(scan).items():
+        path = corpus.path / "show" / f"{sample.views[0].key}.{name}.png"
+        atomic.replace(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+        paths.append(path)
+    return paths
+
+
 def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     """Render a sample again from its spec; tell which stored members differ."""
     from synthgen.render.renderer import Renderer
@@ -79,7 +107,13 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     config = load_config(str(corpus.path / CONFIG))
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
-    for number, view in enumerate(renderer.render(sample.spec)):
+    views = renderer.render(sample.spec)
+    if config.scanner.rig is not None:
+        from synthgen.corpus.scanning import Scanning
+
+        rendered = views
+        views = Scanning(config, lambda _: (None, rendered)).attempt(sample.spec)[1]
+    for number, view in enumerate(views):
         encoded = encode_view(
             sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality
         )

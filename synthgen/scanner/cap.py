@@ -52,7 +52,8 @@ def cut_and_cap(
     kept = _without_pinches(given, kept)
     if not len(kept):
         raise ShapeError(f"nothing lies on the side of {plane} that is kept; turn its normal")
-    fans, tips = [], []
+    fans: list[Ids] = []
+    tips: list[Array] = []
     for loop in boundary_loops(given[kept]):
         tip = len(points) + len(tips)
         tips.append(points[loop].mean(axis=0))

@@ -103,8 +103,7 @@ class _Lanes:
         dr.eval(done)
         valid, cc, sigma = (np.array(done[k]) for k in (1, 3, 4))
         d, a, b = (np.array(done[k]) for k in (5, 6, 7))
-        slope = np.stack([a, b], axis=1) / w
-        return Refined(d, slope, cc, sigma, valid)
+        return Refined(d, np.stack([a, b], axis=1) / w, cc, sigma, valid)
 
     def _step(self, x: Any, y: Any, start: Any, n: Any, ok: Any, p: tuple[Any, ...]) -> Any:
         """One Gauss-Newton step of every lane."""

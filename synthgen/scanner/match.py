@@ -20,6 +20,8 @@ LARGEST_BEND = 0.02
 
 COARSE, WIDE_PX, MARGIN_PX = 4, 128, 12
 _LEAST_NEIGHBOURS, _NEAR_PX = 3, 5
+# Samples; less lets the slopes' noise into the disparities.
+_SLOPE_BLUR = 1.2
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,8 @@ def tilt_of(seed: Image, step: int) -> Image:
     mean = cv2.GaussianBlur(np.where(known, seed, 0).astype(np.float32), (0, 0), 2.0)
     smooth = np.where(weight > 0.6, mean / np.maximum(weight, 1e-6), np.nan)
     down, across = np.gradient(smooth, step)
-    return np.clip(np.nan_to_num(np.stack([across, down], axis=-1)), -0.8, 0.8).astype(np.float32)
+    tilt = np.nan_to_num(np.stack([across, down], axis=-1))
+    return np.asarray(np.clip(tilt, -0.8, 0.8), np.float32)
 
 
 def seed_disparity(
@@ -224,7 +227,8 @@ def narrowed(
     low = int(np.floor(bounds[0] / COARSE)) - 1
     pad = max(0, low + count) + 2, max(0, -low) + 2
     whole = slice(0, height), slice(0, width)
-    found = _semi_global(*(_window(p, whole, pad, 1) for p in pictures), low, count, 5)
+    one, two = (_window(p, whole, pad, 1) for p in pictures)
+    found = _semi_global(one, two, low, count, 5)
     used = found[:, pad[0] : pad[0] + width][mask]
     used = used[np.isfinite(used)] * COARSE
     if len(used) < 0.1 * mask.sum() or len(used) < 50:
@@ -308,8 +312,8 @@ def bend_bias(slope: NDArray[Any], step: int, second_moment: float) -> Image:
 
 
 def _blur_known(values: NDArray[Any]) -> Image:
-    """Gaussian mean (0.7 samples) over the known neighbours; NaN where the sample is unknown."""
+    """Gaussian mean (1.2 samples) over the known neighbours; NaN where the sample is unknown."""
     known = np.isfinite(values)
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.7)
-    mean = cv2.GaussianBlur(np.where(known, values, 0).astype(np.float32), (0, 0), 0.7)
+    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SLOPE_BLUR)
+    mean = cv2.GaussianBlur(np.where(known, values, 0).astype(np.float32), (0, 0), _SLOPE_BLUR)
     return np.where(known, mean / np.maximum(weight, 1e-6), np.nan).astype(np.float32)

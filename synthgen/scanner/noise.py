@@ -117,7 +117,7 @@ def slope_bin(disparity: Grid, step: int) -> NDArray[np.int64]:
     """Bin (h, w) of the slope's size, 0 where it is unknown."""
     along = [np.gradient(disparity, step, axis=axis) for axis in (0, 1)]
     size = np.nan_to_num(np.hypot(*along))
-    return np.searchsorted(np.array(SLOPES[:-1]), size)
+    return np.asarray(np.searchsorted(np.array(SLOPES[:-1]), size))
 
 
 def edge_bin(known: NDArray[np.bool_], bins: int) -> NDArray[np.int64]:
@@ -133,7 +133,7 @@ def smoothed(disparity: Grid, sigma: float) -> Grid:
     known = np.isfinite(disparity)
     weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma)
     mean = cv2.GaussianBlur(np.where(known, disparity, 0).astype(np.float32), (0, 0), sigma)
-    return np.where(known, mean / np.maximum(weight, 1e-6), np.nan).astype(np.float32)
+    return np.asarray(np.where(known, mean / np.maximum(weight, 1e-6), np.nan), np.float32)
 
 
 def _correlated(shape: Any, sigma: float, *, rng: np.random.Generator) -> Grid:
@@ -150,4 +150,4 @@ def _uniform(normal: Grid) -> Grid:
     order = np.argsort(normal, axis=None)
     rank = np.empty(normal.size, np.float32)
     rank[order] = (np.arange(normal.size) + 0.5) / normal.size
-    return rank.reshape(normal.shape)
+    return np.asarray(rank.reshape(normal.shape))

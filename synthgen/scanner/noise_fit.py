@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ShapeError
 from synthgen.scanner.noise import SLOPES, Grid, NoiseModel, edge_bin, slope_bin, smoothed
 
-_EDGE_BINS, _LAGS, _LARGEST_PX, _WILD = 6, 6, 2.0, 2.5
+_EDGE_BINS, _INNER, _LAGS, _LARGEST_PX, _WILD = 6, 3, 6, 2.0, 2.5
 
 
 def fit_noise(pairs: Sequence[tuple[Grid, Grid]], step: int) -> NoiseModel:
@@ -33,6 +34,9 @@ def fit_noise(pairs: Sequence[tuple[Grid, Grid]], step: int) -> NoiseModel:
         raise ShapeError(f"{count} matched samples are too few to fit a noise model; give 1000")
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
     residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
+    # Near edges samples are missing rather than noisy, and filters remove what is left.
+    inner = [edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER for _, ideal in pairs]
+    residuals = [np.where(i, r, np.nan) for i, r in zip(inner, residuals, strict=True)]
     bins = [slope_bin(ideal, step) for _, ideal in pairs]
     sigma = _sigma_per_bin(residuals, bins)
     scaled = [r / sigma[b] for r, b in zip(residuals, bins, strict=True)]
@@ -69,7 +73,7 @@ def _sigma_per_bin(residuals: list[Grid], bins: list[NDArray[np.int64]]) -> NDAr
     return np.asarray(np.interp(np.arange(len(SLOPES)), known, sigma[known]))
 
 
-def _wildness(scaled: list[Grid]) -> tuple[float, float]:
+def _wildness(scaled: list[NDArray[Any]]) -> tuple[float, float]:
     """Share of samples beyond 2.5 sigma that a normal law does not explain, and their scale."""
     values = np.abs(np.concatenate([s[np.isfinite(s)] for s in scaled]))
     values = values[values < _LARGEST_PX / 0.02]
@@ -81,7 +85,7 @@ def _wildness(scaled: list[Grid]) -> tuple[float, float]:
     return share, max(factor, 1.0)
 
 
-def _correlation(scaled: list[Grid]) -> float:
+def _correlation(scaled: list[NDArray[Any]]) -> float:
     """Sigma, samples, of the smoothing that gives the residuals' autocorrelation.
 
     White noise under a Gaussian of sigma s has the autocorrelation exp(-lag^2 / (4 s^2)).

@@ -139,7 +139,9 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
     if level == "model":
         pictures, grid, problem = None, _modelled(stage, unit, pair, settings), None
     else:
-        pictures, grid, problem = _matched(stage.rig, pair, expose(stage, unit), settings)
+        pictures, grid, problem = _matched(
+            stage.rig, pair, expose(stage, unit, spp=settings.spp), settings
+        )
     true = None
     if settings.true_disparity:
         true = ideal_disparity(stage, unit, pair, grid.step, time_s=unit_time(stage, unit))

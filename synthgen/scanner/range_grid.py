@@ -105,7 +105,7 @@ def range_grid(
     limits = settings or GridSettings()
     disparity = _without_edges(grid.disparity, limits).astype(np.float64)
     sigma = bridged(grid.sigma, limits.bridge)
-    rows, columns = np.indices(disparity.shape) * grid.step
+    rows, columns = np.indices(disparity.shape) * np.int64(grid.step)
     world = triangulate(pair, columns, rows, disparity, glass)
     camera = _seeming(pair.camera, world, glass)
     points = to_camera(camera, world)

@@ -109,7 +109,7 @@ def rectify(left: Camera, right: Camera, target: NDArray[Any] | None = None) -> 
     f = (left.fx + right.fx + left.fy + right.fy) / 4
     if target is None:
         middle = (left.position + right.position) / 2
-        aim = middle + max(-middle @ T[:3, 2], 2 * length) * T[:3, 2]
+        aim = middle + max(float(-middle @ T[:3, 2]), 2 * length) * T[:3, 2]
     else:
         aim = np.asarray(target, np.float64)
     seen = [(aim - c.position) @ T[:3, :3] for c in (left, right)]

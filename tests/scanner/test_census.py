@@ -30,7 +30,7 @@ def test_properties_plane(seen: Any) -> None:
 
 
 def test_properties_strictness_removes(seen: Any) -> None:
-    _, left, right, true = seen(Sphere(0.009))
+    _, left, right, _ = seen(Sphere(0.009))
     cut = slice(90, 150), slice(80, 240)
     loose, strict = (
         match_census(left[cut], right[cut], BOUNDS, CensusSettings(uniqueness=u)) for u in (0, 0.3)
