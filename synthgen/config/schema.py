@@ -138,6 +138,10 @@ class RenderSettings(Section):
     max_depth: int = Field(default=3, ge=2, le=32)
     """Longest light path, segments; 2 is direct light only."""
 
+    sensor_depth: Literal["off", "model", "full"] = "off"
+    """What a D4xx-like depth camera at each view reports, beside the exact depth: `full` projects
+    dots and matches pictures, `model` adds errors fitted to that; the rig is `consumer`."""
+
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
     """Mitsuba variant; ``auto`` takes CUDA where it works and LLVM elsewhere."""
 

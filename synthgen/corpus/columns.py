@@ -5,6 +5,7 @@ column      member              content
 ==========  ==================  ============================================================
 image       KEY.jpg             sRGB JPEG
 depth       KEY.depth.png       16-bit, z along the optical axis, 0.1 mm, 0 = nothing or too far
+..          KEY.sensor.png      the same as a depth camera reports it, where asked for
 labels      KEY.part.png        8-bit part ids
 ..          KEY.instance.png    8-bit instance ids, 0 background
 ..          KEY.normals.png     16-bit x 3, camera frame, round((n + 1) / 2 * 65534)
@@ -47,9 +48,10 @@ def key_of(index: int, view: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ScannedView(RenderedView):
-    """A view that brings encoded members of the columns scan and stereo with it."""
+    """A view that brings encoded members of columns, and facts for its meta, with it."""
 
     members: dict[str, Members] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def encode_view(
@@ -59,16 +61,18 @@ def encode_view(
     if view.image is None or view.linear is None:
         raise CorpusError(f"sample {spec.index} view {number} has labels but no picture")
     bgr = np.ascontiguousarray(view.image[..., ::-1])
+    facts = view.facts if isinstance(view, ScannedView) else {}
     encoded: dict[str, Members] = {
         "image": {"jpg": _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])},
-        "depth": {"depth.png": png(_depth_steps(view.labels.depth_z_m))},
+        "depth": {"depth.png": png(depth_steps(view.labels.depth_z_m))},
         "labels": _label_members(view),
-        "meta": {"json": _json(describe(spec, number, view))},
+        "meta": {"json": _json(describe(spec, number, view) | facts)},
     }
     if "exr" in columns:
         encoded["exr"] = {"exr": _exr(view)}
     if isinstance(view, ScannedView):
-        encoded |= view.members
+        for name, members in view.members.items():
+            encoded[name] = encoded.get(name, {}) | members
     return {name: encoded.get(name, {}) for name in columns}
 
 
@@ -136,7 +140,8 @@ def _box(mask: NDArray[np.bool_]) -> list[int] | None:
     return [int(columns[0]), int(rows[0]), int(columns[-1]), int(rows[-1])]
 
 
-def _depth_steps(depth_z_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+def depth_steps(depth_z_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return depths (H, W), metres, in stored steps; 0 where they do not fit."""
     steps = np.rint(depth_z_m.astype(np.float64) / DEPTH_STEP_M)
     return np.where(steps > 65535, 0, steps).astype(np.uint16)
 

@@ -57,12 +57,16 @@ def render_attempts(config: Config) -> Attempt:
     """Return the real maker: a renderer that persists for the life of the worker."""
     from synthgen.render.renderer import Renderer
 
-    renderer = Renderer(config.render.variant)
-    if config.scanner.rig is None:
-        return renderer.attempt
-    from synthgen.corpus.scanning import Scanning
+    attempt: Attempt = Renderer(config.render.variant).attempt
+    if config.scanner.rig is not None:
+        from synthgen.corpus.scanning import Scanning
 
-    return Scanning(config, renderer.attempt).attempt
+        attempt = Scanning(config, attempt).attempt
+    if config.render.sensor_depth != "off":
+        from synthgen.corpus.sensing import DepthSensing
+
+        attempt = DepthSensing(config, attempt).attempt
+    return attempt
 
 
 def generate(

@@ -162,10 +162,13 @@ class View:
         """Where depth is known (H, W)."""
         return self.depth_z_m > 0
 
-    @property
-    def sensor_depth_z_m(self) -> None:
-        """What a depth sensor would report; None: this corpus simulates none."""
-        return None
+    @cached_property
+    def sensor_depth_z_m(self) -> NDArray[np.float32] | None:
+        """What a depth camera would report (H, W), metres, 0 = nothing; None: none is simulated."""
+        if "sensor_depth" not in self.meta:
+            return None
+        steps = self._image("depth", "sensor.png", 0)
+        return np.asarray(steps * DEPTH_STEP_M, dtype=np.float32)
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:

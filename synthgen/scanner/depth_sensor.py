@@ -1,8 +1,9 @@
 """What a consumer depth camera reports of a scene, on the pixels of a given view.
 
 The device is the one-unit rig ``consumer``: its left camera stands where the view's camera does and
-has its field of view, so that colour and depth share pixels. Everything else is the device's own:
-baseline, projector, sensors, calibration errors, census matching with its limited disparities.
+has its field of view, so that colour and depth see the same. Everything else is the device's own:
+pixels per angle, baseline, projector, sensors, calibration errors, census matching with its limited
+disparities, and with them its nearest depth.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,12 +26,14 @@ from synthgen.scanner.ideal import ideal_disparity
 from synthgen.scanner.match import DisparityGrid
 from synthgen.scanner.noise import add_noise, load_noise
 from synthgen.scanner.rectify import Rectified
-from synthgen.scanner.rig import Calibration, Rig, Unit
+from synthgen.scanner.rig import Calibration, Rig, Unit, scale_camera
 from synthgen.scanner.stage import Effects, prepare
 from synthgen.scanner.subject import ScanScene
 
 DepthLevel = Literal["full", "model"]
 _LARGEST_DISPARITY = 126
+# Islands of fewer pixels, more than a pixel of disparity from their surroundings, are dropped.
+_ISLAND_PX = 40
 _NEAREST_M, _FARTHEST_M = 0.15, 10.0
 # Skin blurs by less than these cameras' pixels.
 _EFFECTS = Effects(subsurface=False, bounce=False)
@@ -55,7 +59,7 @@ class SensorDepth:
 
 def sense_depth(
     scene: ScanScene, camera: Camera, rig: Rig, *, rng: np.random.Generator,
-    level: DepthLevel = "full", enough_px: int = 480,
+    level: DepthLevel = "full",
 ) -> SensorDepth:  # fmt: skip
     """Measure the depth of a scene from a camera's place.
 
@@ -70,17 +74,13 @@ def sense_depth(
     level : {"full", "model"}
         Dot pictures and census matching, or ideal disparities with the noise model that was fitted
         to them.
-    enough_px : int
-        The device's pictures are whole multiples of the view's, nearest to this many pixels along
-        the longer edge.
 
     Raises
     ------
     ConfigError
         If the rig is no such device.
     """
-    factor = max(1, round(enough_px / max(camera.width, camera.height)))
-    device = device_for(rig, camera, factor)
+    device = device_for(rig, camera)
     unit = device.units[0]
     T = unit.nominal.left.T @ invert(camera.T)
     stage = prepare(_moved(scene, T), device, rng=rng, effects=_EFFECTS)
@@ -90,21 +90,22 @@ def sense_depth(
         shot = expose(stage, unit)
         scale = 255 / device.grey.full_scale
         problem = shot.problem
-        grid = match_census(shot.left * scale, shot.right * scale, _bounds(pair))
+        grid = _tidied(match_census(shot.left * scale, shot.right * scale, _bounds(pair)))
     else:
         ideal = ideal_disparity(stage, unit, pair, 1, time_s=0.0)
         noise = stream(stage.key, "sample", 0, 0, "matching")
         shape = pair.camera.height, pair.camera.width
         grid = add_noise(ideal, 1, shape, load_noise("consumer"), rng=noise)
-    depth = _on_view(pair, grid, camera, factor)
+    depth = _on_view(pair, grid, camera)
     return SensorDepth(depth if problem is None else np.zeros_like(depth), problem)
 
 
-def device_for(rig: Rig, camera: Camera, factor: int) -> Rig:
-    """Return the device with the optics of a view, ``factor`` times its pixels per edge.
+def device_for(rig: Rig, camera: Camera) -> Rig:
+    """Return the device with the field of view of a camera.
 
-    The device keeps its place in its own frame, its projector, and its calibration errors, which
-    are the frozen draw of the rig's seed.
+    The device keeps its focal length in pixels (what decides its nearest depth and its errors), its
+    place in its own frame, its projector, and its calibration errors, which are the frozen draw of
+    the rig's seed.
     """
     if len(rig.units) != 1 or rig.units[0].nominal.left.T[:3, :3].tolist() != (
         rig.units[0].nominal.right.T[:3, :3].tolist()
@@ -114,24 +115,18 @@ def device_for(rig: Rig, camera: Camera, factor: int) -> Rig:
             "the rig consumer"
         )
     unit = rig.units[0]
-    left, right = (_with_optics(c, camera, factor) for c in (unit.nominal.left, unit.nominal.right))
+    left, right = (_with_field(c, camera) for c in (unit.nominal.left, unit.nominal.right))
     nominal = Calibration(left, right, None)
     rng = stream(rig.seed, "scanner", 0, rig.draws - 1, "calibration")
     true = perturbed(nominal, rig.error, rng=rng)
     return replace(rig, units=(replace(unit, nominal=nominal, true=true),), volume_m=_ANYWHERE)
 
 
-def _with_optics(place: Camera, view: Camera, factor: int) -> Camera:
+def _with_field(own: Camera, view: Camera) -> Camera:
+    """Return the device's camera with the view's field and no distortion."""
+    field = scale_camera(view, own.fx / view.fx)
     return replace(
-        view,
-        width=view.width * factor,
-        height=view.height * factor,
-        fx=view.fx * factor,
-        fy=view.fx * factor,
-        cx=(view.cx + 0.5) * factor - 0.5,
-        cy=(view.cy + 0.5) * factor - 0.5,
-        distortion=(0.0,) * 5,
-        T_world_from_camera=place.T_world_from_camera,
+        field, fy=field.fx, distortion=(0.0,) * 5, T_world_from_camera=own.T_world_from_camera
     )
 
 
@@ -162,9 +157,14 @@ def _bounds(pair: Rectified) -> tuple[float, float]:
     return min(float(pair.disparity(_FARTHEST_M)), nearest - 1), nearest
 
 
-def _on_view(
-    pair: Rectified, grid: DisparityGrid, camera: Camera, factor: int
-) -> NDArray[np.float32]:
+def _tidied(grid: DisparityGrid) -> DisparityGrid:
+    """Forget islands of a few pixels, as hosts of such cameras do."""
+    steps = np.where(np.isfinite(grid.disparity), grid.disparity * 16, -1600).astype(np.int16)
+    kept, _ = cv2.filterSpeckles(steps, -1600, _ISLAND_PX, 16)
+    return replace(grid, disparity=np.where(kept > -1600, grid.disparity, np.float32(np.nan)))
+
+
+def _on_view(pair: Rectified, grid: DisparityGrid, camera: Camera) -> NDArray[np.float32]:
     """Take the nearest measurement for every pixel of the view; 0 where there is none."""
     y, x = np.mgrid[: camera.height, : camera.width].reshape(2, -1).astype(np.float64)
     flat = (np.stack([x, y], axis=1) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]

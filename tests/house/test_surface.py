@@ -28,8 +28,8 @@ KEYS = [
     "camera.offset", "light.constant", "light.area", "light.room", "background.plain",
     "background.procedural", "background.room", "background.empty",
     "skin.tones", "render.width", "render.height",
-    "render.spp", "render.quality", "render.max_depth", "render.variant", "scanner.rig",
-    "scanner.level", "scanner.seed", "corpus.shard_size",
+    "render.spp", "render.quality", "render.max_depth", "render.sensor_depth", "render.variant",
+    "scanner.rig", "scanner.level", "scanner.seed", "corpus.shard_size",
     "corpus.columns", "corpus.jpeg_quality",
 ]  # fmt: skip
 _CONFIG = ["CONFIG"]

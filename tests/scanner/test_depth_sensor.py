@@ -48,7 +48,6 @@ def measured(**changes: object) -> SensorDepth:
         "scene": scene(),
         "camera": view(),
         "rig": rig,
-        "enough_px": 320,
         **changes,
     }
     rng = stream(0, "sample", 0, 0, "depth sensor")
@@ -68,12 +67,12 @@ def test_smoke(usual: SensorDepth) -> None:
 
 
 def test_reference_wall(usual: SensorDepth) -> None:
-    """The wall behind, within half a pixel of disparity; nothing on the left, where one is blind."""
+    """The wall behind, within half a pixel of disparity; nothing where one camera is blind."""
     depth = usual.depth_z_m
     corner = depth[5:25, 80:150]
     seen = corner[corner > 0]
     assert len(seen) > 0.9 * corner.size
-    assert np.median(seen) == pytest.approx(0.7, abs=0.5 * 0.7**2 / (440 * 0.05))
+    assert np.median(seen) == pytest.approx(0.7, abs=0.5 * 0.7**2 / (431 * 0.05))
     assert np.abs(seen - np.median(seen)).max() < 0.05
     assert (depth[:, :6] == 0).mean() > 0.9
 
@@ -90,11 +89,17 @@ def test_reference_ball(usual: SensorDepth) -> None:
     assert (band == 0).mean() > 0.25
 
 
-def test_properties_repeats_and_differs_by_seed() -> None:
-    first, again = (measured(enough_px=160).depth_z_m for _ in range(2))
-    assert np.array_equal(first, again)
-    other = measured(rig=load_rig("consumer", 1), enough_px=160).depth_z_m
-    assert not np.array_equal(first, other)
+def test_properties_repeats_and_differs_by_seed(usual: SensorDepth) -> None:
+    assert np.array_equal(usual.depth_z_m, measured().depth_z_m)
+    other = measured(rig=load_rig("consumer", 1)).depth_z_m
+    assert not np.array_equal(usual.depth_z_m, other)
+
+
+def test_properties_too_near_is_not_measured() -> None:
+    """The device searches 126 disparities: nothing nearer than 431 * 50 mm / 126 = 0.17 m."""
+    near = in_view(wall(0.3, 0.0), 0, 0, 0.12)
+    depth = measured(scene=ScanScene((solid_from_mesh(near, PLAIN, smooth=False),))).depth_z_m
+    assert (np.abs(depth - 0.12) < 0.01).mean() < 0.02
 
 
 def test_properties_errors_grow_with_distance() -> None:
@@ -120,7 +125,7 @@ def test_properties_distorted_view_shares_its_pixels(usual: SensorDepth) -> None
 def test_edge_nothing_lit() -> None:
     rig = load_rig("consumer")
     dark = replace(rig, projectors=tuple(replace(p, irradiance=1e-9) for p in rig.projectors))
-    found = measured(rig=dark, enough_px=160)
+    found = measured(rig=dark)
     assert found.problem is not None
     assert "black speckle" in found.problem
     assert not found.depth_z_m.any()
@@ -128,4 +133,4 @@ def test_edge_nothing_lit() -> None:
 
 def test_edge_no_depth_camera() -> None:
     with pytest.raises(ConfigError, match="rig mini is no depth camera"):
-        device_for(load_rig("mini"), view(), 1)
+        device_for(load_rig("mini"), view())
