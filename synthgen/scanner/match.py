@@ -18,7 +18,7 @@ Image = NDArray[np.float32]
 LARGEST_BEND = 0.02
 """Second derivatives of disparity beyond this, per pixel, are no surface: the correction stops."""
 
-COARSE, WIDE_PX, MARGIN_PX = 4, 128, 12
+COARSE, WIDE_PX, MARGIN_PX, SLACK_PX = 4, 128, 12, 2
 _LEAST_NEIGHBOURS, _NEAR_PX = 3, 5
 # Samples; less lets the slopes' noise into the disparities.
 _SLOPE_BLUR = 1.2
@@ -202,8 +202,10 @@ def seed_disparity(
     found = found[:, pad[0] // scale : found.shape[1] - pad[1] // scale] * scale
     if scale > 1:
         found = _enlarge(found, mask[crop].shape)
+    # The matcher searches in steps of 16: what it finds beyond the bounds is not wanted.
+    inside = (found >= bounds[0] - SLACK_PX) & (found <= bounds[1] + SLACK_PX)
     seed = np.full(left.shape, np.nan, np.float32)
-    seed[crop] = np.where(mask[crop], found, np.nan)
+    seed[crop] = np.where(mask[crop] & inside, found, np.nan)
     return seed
 
 

@@ -138,7 +138,7 @@ def smoothed(disparity: Grid, sigma: float) -> Grid:
 
 def _correlated(shape: Any, sigma: float, *, rng: np.random.Generator) -> Grid:
     """White noise smoothed by a Gaussian of ``sigma`` samples, unit variance."""
-    white = rng.standard_normal(shape).astype(np.float32)
+    white = np.asarray(rng.standard_normal(shape), np.float32)
     if sigma < 0.2:
         return white
     smooth = cv2.GaussianBlur(white, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)

@@ -99,13 +99,14 @@ def test_edge_dark_projectors_are_told_by_unit() -> None:
 
 def test_edge_too_small_a_disparity_range_is_told() -> None:
     rig = load_rig("mini")
-    near = replace(rig, volume_m=(0.001, 0.001, 0.001))
+    near = replace(rig, volume_m=(0.004, 0.004, 0.004))
     low, high = disparity_bounds(
         near, rectify(rig.units[0].nominal.left, rig.units[0].nominal.right)
     )
-    assert high - low < 1
-    plate = trimesh.creation.box((0.05, 0.05, 0.002)).apply_translation((0, 0, 0.02))
-    found = scanned(near, mesh=plate)
+    assert high - low < 4
+    plate = trimesh.creation.box((0.05, 0.05, 0.002)).apply_translation((0, 0, 0.03))
+    speck = trimesh.creation.icosphere(radius=0.001)
+    found = scanned(near, mesh=trimesh.util.concatenate([plate, speck]))
     told = [unit.problem for unit in found.units if unit.problem]
     assert any("disparity range is too small" in text for text in told)
 
