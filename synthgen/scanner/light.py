@@ -8,6 +8,7 @@ those that may reach it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from synthgen.render import backend
 from synthgen.scanner.glass import normal_shift, thickness_for, transmittance
 from synthgen.scanner.pattern import LEVELS, packed_pyramid
-from synthgen.scanner.rig import Projector, Rig
+from synthgen.scanner.rig import Pattern, Projector, Rig
 
 _STRIDE = 6  # quadruples of numbers per projector
 # Shadow rays start this far off the surface, metres.
@@ -53,30 +54,31 @@ class ProjectorTable:
 def upload(rig: Rig) -> ProjectorTable:
     """Put the rig's projectors on the device."""
     mi: Any = backend.mitsuba()
-    slides: dict[Any, int] = {}
-    texels: list[NDArray[np.uint32]] = []
-    levels: list[tuple[int, int]] = []
-    start = 0
-    for projector in rig.projectors:
-        key = projector.pattern, projector.optics.width
-        if key in slides:
-            continue
-        slides[key] = len(levels)
-        for level in packed_pyramid(*key):
-            levels.append((start, round(len(level) ** 0.5)))
-            texels.append(level)
-            start += len(level)
+    keys = [(p.pattern, p.optics.width) for p in rig.projectors]
+    different = tuple(dict.fromkeys(keys))
+    slides, levels = _slides_on_device(different)
     rows = [
-        _numbers(p, slides[p.pattern, p.optics.width], thickness_for(rig.glass, p.optics.position))
-        for p in rig.projectors
+        _numbers(p, LEVELS * different.index(key), thickness_for(rig.glass, p.optics.position))
+        for p, key in zip(rig.projectors, keys, strict=True)
     ]
     return ProjectorTable(
         numbers=mi.Float(np.array(rows, dtype=np.float32).ravel()),
-        slides=mi.UInt32(np.concatenate(texels)),
-        levels=mi.UInt32(np.array(levels, dtype=np.uint32).ravel()),
+        slides=slides,
+        levels=levels,
         ior=None if rig.glass is None else number(rig.glass.ior),
         count=len(rig.projectors),
     )
+
+
+@lru_cache(maxsize=4)
+def _slides_on_device(keys: tuple[tuple[Pattern, int], ...]) -> tuple[Any, Any]:
+    """Make slides once per process: all texels in a row, and first texel and edge per level."""
+    mi: Any = backend.mitsuba()
+    texels = [level for pattern, size in keys for level in packed_pyramid(pattern, size)]
+    starts = np.cumsum([0, *(len(level) for level in texels)])[:-1]
+    edges = [round(len(level) ** 0.5) for level in texels]
+    levels = np.column_stack([starts, edges]).astype(np.uint32)
+    return mi.UInt32(np.concatenate(texels)), mi.UInt32(levels.ravel())
 
 
 def number(value: float) -> Any:

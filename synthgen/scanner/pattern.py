@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -141,7 +140,6 @@ def packed(level: NDArray[np.uint8]) -> NDArray[np.uint32]:
     return np.asarray(both.ravel(), dtype=np.uint32)
 
 
-@lru_cache(maxsize=16)
 def packed_pyramid(pattern: Pattern, size_px: int) -> tuple[NDArray[np.uint32], ...]:
-    """Return the packed levels of a slide, made once per process."""
+    """Return the packed levels of a slide."""
     return tuple(packed(level) for level in pyramid(slide(pattern, size_px)))
