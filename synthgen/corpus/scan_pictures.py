@@ -27,7 +27,7 @@ def scan_pictures(scan: Scan) -> dict[str, Image]:
         found["speckle"] = speckle_picture(unit_)
     if unit_ is not None:
         found["disparity"] = disparity_picture(unit_)
-    face, inside, camera = _drawn(scan)
+    face, inside, camera = _drawn(scan, unit_)
     if "error_m" in scan.provenance:
         found["error"] = error_picture(scan, face, inside)
     found["scan"] = textured_picture(scan, face, inside, camera)
@@ -76,13 +76,13 @@ def textured_picture(scan: Scan, face: NDArray[np.int32], inside: Array, camera:
     return picture
 
 
-def _drawn(scan: Scan) -> tuple[NDArray[np.int32], Array, Camera]:
-    """Rasterise the scan as its first unit sees it, filling the picture."""
+def _drawn(scan: Scan, unit_: UnitScan | None) -> tuple[NDArray[np.int32], Array, Camera]:
+    """Rasterise the scan as a unit sees it, filling the picture; from +z without one."""
     middle = (scan.vertices.min(axis=0) + scan.vertices.max(axis=0)).astype(np.float64) / 2
     reach = float(np.linalg.norm(scan.vertices - middle, axis=1).max())
     eye, up = middle + np.array([0.0, 0.0, 4 * reach]), (0.0, 1.0, 0.0)
-    if scan.units:
-        T = scan.units[0].pair.camera.T
+    if unit_ is not None:
+        T = unit_.pair.camera.T
         eye, up = T[:3, 3], tuple(-T[:3, 1])
     distance = float(np.linalg.norm(eye - middle))
     f = 0.48 * _SIZE * np.sqrt(max(distance**2 - reach**2, 1e-6)) / reach
