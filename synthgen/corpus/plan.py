@@ -63,8 +63,9 @@ def write_plan(config: Config, out: Path, *, workers: int = 1, progress: bool = 
         If the folder holds a corpus of another config, back end, model or library version, or
         cannot be written. What was drawn before an interrupt or a full disk is kept.
     """
+    mine = {"config_hash": config_hash(config), **engine(config)}
     atomic.make_folder(out)
-    _claim(config, out)
+    _claim(config, mine, out)
     atomic.make_folder(out / CLAIMS)
     with open(out / CLAIMS / "plan", "w") as claim:
         fcntl.flock(claim, fcntl.LOCK_EX)  # another machine may be planning the same folder
@@ -129,9 +130,8 @@ def _row(config: Config, index: int) -> bytes:
     return json.dumps(row, sort_keys=True, separators=(",", ":")).encode() + b"\n"
 
 
-def _claim(config: Config, out: Path) -> None:
+def _claim(config: Config, mine: dict[str, Any], out: Path) -> None:
     """Refuse a folder that belongs to another config or was made by another engine."""
-    mine = {"config_hash": config_hash(config), **engine(config)}
     path = out / ENGINE
     if path.is_file():
         theirs = _read_json(path)
