@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.geometry.cameras import project
+from synthgen.geometry.cameras import Camera, project
 from synthgen.sampling.streams import stream
 from synthgen.scanner.camera import (
     Look,
+    Rays,
     Sampling,
     Shutter,
     integrate,
@@ -28,6 +29,7 @@ from synthgen.scanner.camera import (
     shutter_of,
     speckle_look,
 )
+from synthgen.scanner.light import number
 from synthgen.scanner.rig import Role, Sensor, Unit
 from synthgen.scanner.sensor import Image, automatic_gain, counts, fixed_pattern, optical
 from synthgen.scanner.softlight import SoftLight, soft_light
@@ -138,22 +140,37 @@ def integrated(
     camera = unit.true.camera(role)
     camera_number = 3 * unit.index + ROLES.index(role)
     key = int(stream(stage.key, "sample", camera_number, 0, "jitter").integers(2**32))
-    shape = camera.height, camera.width, len(background)
     picture = np.tile(np.array(background, np.float32), (camera.height * camera.width, 1))
+    for time, window in _poses(stage, camera, shutter):
+        stage.pose(time)
+        pixels, sampling = region(stage, camera, shutter), Sampling(spp, key, window)
+        # What is gained over the background, so that pixels left out have none of it.
+        over = _above(look(), background)
+        seen = integrate(stage, camera, pixels, shutter, sampling, over, len(background))
+        picture[pixels] += seen / np.float32(spp)
+    return picture.reshape(camera.height, camera.width, len(background))
+
+
+def _poses(
+    stage: Stage, camera: Camera, shutter: Shutter
+) -> list[tuple[float, tuple[float, float]]]:
+    """Return at which times the scene is posed for an exposure, and for which part of it."""
     if stage.rigid:
-        pixels, sampling = region(stage, camera, shutter), Sampling(spp, key)
-        seen = integrate(stage, camera, pixels, shutter, sampling, look(), len(background))
-        picture[pixels] = seen / spp
-        return picture.reshape(shape)
+        return [(shutter.time_s, (-1e9, 1e9))]
     begin, end = shutter.span(camera.height)
-    poses = max(_POSES, round(_POSES * (end - begin) / shutter.exposure_s))
-    every = np.arange(len(picture), dtype=np.uint32)
-    picture[:] = 0
-    for low, high in pairwise(np.linspace(begin, end, poses + 1)):
-        stage.pose(float(low + high) / 2)
-        sampling = Sampling(spp, key, (float(low), float(high)))
-        picture += integrate(stage, camera, every, shutter, sampling, look(), len(background))
-    return picture.reshape(shape) / np.float32(spp)
+    count = max(_POSES, round(_POSES * (end - begin) / shutter.exposure_s))
+    edges = np.linspace(begin, end, count + 1).tolist()
+    return [((low + high) / 2, (low, high)) for low, high in pairwise(edges)]
+
+
+def _above(look: Look, background: tuple[float, ...]) -> Look:
+    levels = [number(level) for level in background]
+
+    def above(rays: Rays, shift: Any, active: Any) -> tuple[Any, ...]:
+        found = look(rays, shift, active)
+        return tuple(value - level for value, level in zip(found, levels, strict=True))
+
+    return above
 
 
 def _light_time(stage: Stage, shutter: Shutter) -> float:

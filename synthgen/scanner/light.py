@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthgen.render import backend
 from synthgen.scanner.glass import normal_shift, thickness_for, transmittance

@@ -55,11 +55,19 @@ def soft_light(stage: Stage, slot: int, time_s: float) -> SoftLight:
         stage.scene, stage.table, points, normals, normals * LIFT_M, shift, every, unsure
     )
     dr.eval(light, lit)
+    _note_useless(stage, slot, int(np.bitwise_or.reduce(np.array(lit))))
     direct = np.array(light)
     soft = _soft(stage, direct)
     quads = np.column_stack([stage.normals, soft]).astype(np.float32)
     reach, sure = _faces(stage, bits, lit)
     return SoftLight(direct, mi.Float(quads.ravel()), reach, sure)
+
+
+def _note_useless(stage: Stage, slot: int, used: int) -> None:
+    for k, projector in enumerate(stage.rig.projectors):
+        note = f"projector {projector.ident} lights nothing of the subject"
+        if projector.slot == slot and not used >> k & 1 and note not in stage.notes:
+            stage.notes.append(note)
 
 
 def slot_bits(stage: Stage, slot: int) -> Any:

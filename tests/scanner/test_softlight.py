@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -94,6 +96,17 @@ def test_properties_shadow_cache_changes_single_pixels_only() -> None:
         for c in (True, False)
     )
     assert (np.abs(cached - exact) > 0.01).mean() < 0.002
+
+
+def test_edge_a_useless_projector_is_noted() -> None:
+    rig = mini()
+    away = replace(rig.projectors[1], optics=rig.units[0].true.left, ident="lost")
+    turned = np.array(away.optics.T) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    optics = replace(away.optics, T_world_from_camera=tuple(map(tuple, turned.tolist())))
+    aimed_off = replace(rig, projectors=(rig.projectors[0], replace(away, optics=optics)))
+    stage = prepare(ball_before_wall(), aimed_off, rng=stream(1, "sample", 0, 0, "scan"))
+    soft_light(stage, 0, 0.0)
+    assert stage.notes == ["projector lost lights nothing of the subject"]
 
 
 def test_smoke_repeats() -> None:
