@@ -87,13 +87,17 @@ def parts_picture(view: View) -> Image:
     return np.asarray(colours[view.part_id], dtype=np.uint8)
 
 
-def depth_picture(view: View) -> Image:
-    """Colour depth around the hand: near is bright; nothing is black."""
+def depth_picture(view: View, shown: NDArray[np.float32] | None = None) -> Image:
+    """Colour depth around the hand: near is bright; nothing is black.
+
+    ``shown`` (H, W) is another depth of the view, such as its sensor's, in the same colours.
+    """
     z, hand = view.depth_z_m, view.instance_id > 0
     near, far = (z[hand].min(), z[hand].max()) if hand.any() else (z.min(), z.max() + 1e-3)
-    share = np.clip((far + 0.1 - z) / (far + 0.1 - near), 0, 1)
+    depth = z if shown is None else shown
+    share = np.clip((far + 0.1 - depth) / (far + 0.1 - near), 0, 1)
     coloured = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    coloured[z == 0] = 0
+    coloured[depth == 0] = 0
     return np.ascontiguousarray(coloured[..., ::-1])
 
 

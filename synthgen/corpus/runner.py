@@ -57,7 +57,11 @@ def render_attempts(config: Config) -> Attempt:
     """Return the real maker: a renderer that persists for the life of the worker."""
     from synthgen.render.renderer import Renderer
 
-    attempt: Attempt = Renderer(config.render.variant).attempt
+    return with_sensors(config, Renderer(config.render.variant).attempt)
+
+
+def with_sensors(config: Config, attempt: Attempt) -> Attempt:
+    """Return a maker that adds scan and sensor depth, where asked for, to another's views."""
     if config.scanner.rig is not None:
         from synthgen.corpus.scanning import Scanning
 

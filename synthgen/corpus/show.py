@@ -15,6 +15,7 @@ from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_picture
 from synthgen.corpus.plan import CONFIG
 from synthgen.corpus.reading import Corpus, open_corpus
+from synthgen.corpus.runner import with_sensors
 from synthgen.corpus.sample import Sample
 from synthgen.corpus.scan_pictures import scan_pictures
 from synthgen.scanner import Scan
@@ -64,11 +65,13 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
 
 
 def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
-    """Write one view's picture, skeleton, parts and depth side by side as a PNG."""
+    """Write one view's picture, skeleton, parts and depths side by side as a PNG."""
     view = sample.views[number]
     row: list[NDArray[np.uint8]] = [
         view.image, skeleton_picture(view), parts_picture(view), depth_picture(view),
     ]  # fmt: skip
+    if view.sensor_depth_z_m is not None:
+        row.append(depth_picture(view, view.sensor_depth_z_m))
     sheet = np.concatenate(row, axis=1)[..., ::-1]
     folder = corpus.path / "show"
     atomic.make_folder(folder)
@@ -107,12 +110,8 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     config = load_config(str(corpus.path / CONFIG))
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
-    views = renderer.render(sample.spec)
-    if config.scanner.rig is not None:
-        from synthgen.corpus.scanning import Scanning
-
-        rendered = views
-        views = Scanning(config, lambda _: (None, rendered)).attempt(sample.spec)[1]
+    rendered = renderer.render(sample.spec)
+    _, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
     for number, view in enumerate(views):
         encoded = encode_view(
             sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality

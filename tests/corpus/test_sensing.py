@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ import synthgen
 from synthgen.config import load_config
 from synthgen.corpus.runner import generate
 from synthgen.corpus.sensing import scene_before
+from synthgen.corpus.show import describe
 from synthgen.sampling.draw import draw_sample
 
 SMALL = ["samples=2", "render.width=96", "render.height=96", "render.spp=1",
@@ -36,6 +38,9 @@ def test_smoke_corpus(level: str, tmp_path: Path) -> None:
         assert np.median(error) > 1e-5  # it is a sensor, not the truth
         again = synthgen.open_corpus(tmp_path / "c")[sample.index].views[0].sensor_depth_z_m
         assert np.array_equal(sensed, again)
+    shown = describe(tmp_path / "c", 0, remake=True)
+    assert shown["remake"] == {"same": True, "differing": []}
+    assert cv2.imread(shown["pictures"][0]).shape == (96, 5 * 96, 3)
 
 
 def test_smoke_none_where_not_asked_for(tmp_path: Path) -> None:
