@@ -7,6 +7,7 @@ the light that spreads below the skin, and the light that other parts of the sce
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,8 +74,6 @@ class Stage:
         As they stand now.
     coarse : Bool
         Faces too long for light at their corners to stand for them.
-    skins : list of Diffusion or None
-        Per solid.
     gsd_m : float
         Smallest size of a pixel at the origin.
     notes : list of str
@@ -91,11 +90,18 @@ class Stage:
         self.rigid, self.velocity_m_s = _common_velocity(scene)
         self._mi: Any = backend.mitsuba()
         self._dr: Any = backend.drjit()
-        table_rig = rig if effects.defocus else _sharp(rig)
-        self.table = light.upload(table_rig)
         self._upload()
         self.posed_s = 0.0
-        self.skins = self._prepare_skin()
+
+    @cached_property
+    def table(self) -> light.ProjectorTable:
+        """The projectors, uploaded when light is first asked for."""
+        return light.upload(self.rig if self.effects.defocus else _sharp(self.rig))
+
+    @cached_property
+    def skins(self) -> list[Diffusion | None]:
+        """Heat flow below the skin per solid, prepared when light is first asked for."""
+        return self._prepare_skin()
 
     def _upload(self) -> None:
         mi, mesh = self._mi, self.mesh

@@ -231,4 +231,5 @@ def test_edge_too_coarse_for_skin_is_noted() -> None:
     """Two million triangles are the end: a body-sized wall cannot blur by a millimetre."""
     big = trimesh.creation.box((0.05, 0.05, 2000.0))
     stage = staged(ScanScene((solid_from_mesh(big, smooth=False),)), mini(), Effects())
+    assert stage.skins == [None]
     assert any("too coarse" in note for note in stage.notes)
