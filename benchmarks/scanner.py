@@ -210,7 +210,7 @@ def spacing() -> list[Row]:
                 f_scale=1e-4,
             )  # fmt: skip
             fitted.append(fit.x)
-        error = 1e3 * (np.linalg.norm(fitted[1] - fitted[0]) - 0.06)
+        error = 1e3 * float(np.linalg.norm(fitted[1] - fitted[0]) - 0.06)
         rows.append(_row(f"T4 spacing error, {'exact' if exact else 'default'} calibration", error))
     return rows
 

@@ -56,7 +56,7 @@ class MatchSettings:
     seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
-    correlation: float = 0.8
+    correlation: float = 0.83
     sweeps: int = 4
     agreement_px: float = 0.3
     correct_curvature: bool = True

@@ -17,6 +17,7 @@ from synthgen.scanner.rectify import Rectified
 from synthgen.scanner.rig import Glass
 
 Array = NDArray[np.float64]
+_LEAST_DIRECTIONS = 3
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _without_edges(disparity: NDArray[np.float32], limits: GridSettings) -> NDAr
 
 
 def bridged(values: NDArray[np.float32], passes: int) -> NDArray[np.float32]:
-    """Fill samples (h, w) that lie between known ones in at least two of four directions.
+    """Fill samples (h, w) that lie between known ones in at least three of four directions.
 
     Each direction gives the mean of its two ends, so that a plane is continued exactly.
     """
@@ -153,7 +154,7 @@ def bridged(values: NDArray[np.float32], passes: int) -> NDArray[np.float32]:
             middle = (ahead + behind) / 2
             count += np.isfinite(middle)
             total += np.nan_to_num(middle)
-        gap = ~np.isfinite(found) & (count >= 2)
+        gap = ~np.isfinite(found) & (count >= _LEAST_DIRECTIONS)
         found[gap] = total[gap] / count[gap]
     return found
 
