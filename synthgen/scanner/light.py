@@ -40,14 +40,12 @@ class ProjectorTable:
         Per slide and level: first texel, edge.
     ior : Float or None
         Of the glass; None without, which makes a simpler kernel.
-    count : int
     """
 
     numbers: Any
     slides: Any
     levels: Any
     ior: Any
-    count: int
 
 
 def upload(rig: Rig) -> ProjectorTable:
@@ -65,7 +63,6 @@ def upload(rig: Rig) -> ProjectorTable:
         slides=slides,
         levels=levels,
         ior=None if rig.glass is None else number(rig.glass.ior),
-        count=len(rig.projectors),
     )
 
 

@@ -89,7 +89,6 @@ class Stage:
         self.mesh: DrawnMesh = drawn_mesh(scene, _wanted_edge(scene, rig, effects, self.gsd_m))
         self.rigid, self.velocity_m_s = _common_velocity(scene)
         self._mi: Any = backend.mitsuba()
-        self._dr: Any = backend.drjit()
         self._upload()
         self.posed_s = 0.0
 

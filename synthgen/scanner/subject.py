@@ -43,7 +43,6 @@ class Surface:
 
 
 SKIN = Surface()
-MATT = Surface(specular=0.0, subsurface=0.0)
 GREEN = Surface(0.25, (0.05, 0.45, 0.10), 0.5, 0.4, 0.0, 0.0)
 
 
