@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from synthgen import config, corpus, geometry, models, sampling, scene, verify
+    from synthgen import config, corpus, geometry, models, sampling, scanner, scene, verify
     from synthgen.corpus import open_corpus
 
 __version__ = "0.1.0"
@@ -26,6 +26,7 @@ __all__ = [
     "models",
     "open_corpus",
     "sampling",
+    "scanner",
     "scene",
     "verify",
 ]

@@ -41,6 +41,10 @@ class RenderError(SynthgenError):
     """A scene cannot be rendered as described."""
 
 
+class ScanError(SynthgenError):
+    """A rig, a unit or a scene cannot be scanned; the message names the unit and says why."""
+
+
 class CorpusError(SynthgenError):
     """A corpus cannot be written, resumed or read."""
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import platform
 from importlib import metadata
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from synthgen import __version__
 from synthgen.cli.options import Json
 from synthgen.cli.output import DONE, FAILED, Result, columns
-from synthgen.errors import SynthgenError
+from synthgen.errors import ConfigError, SynthgenError
 
 LIBRARIES = (
     "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "opencv-python-headless", "trimesh", "torch",
@@ -20,8 +23,24 @@ LIBRARIES = (
 REINSTALL = "pip install --force-reinstall synthgen"
 
 
-def doctor(as_json: Json = False) -> Result:
-    """Report back ends, LLVM, GPU, models and libraries; exit 1 if the default job cannot run."""
+What = Annotated[str | None, typer.Argument(metavar="rig", help="Examine a scanner instead.")]
+Name = Annotated[str | None, typer.Argument(metavar="NAME", help="Its name, or a .yaml file.")]
+Seed = Annotated[int, typer.Option("--seed", help="Scanner seed: which calibration draw.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="Rig picture; rig_NAME.png otherwise.")
+]
+
+
+def doctor(
+    what: What = None, name: Name = None, seed: Seed = 0, out: Out = None, as_json: Json = False
+) -> Result:
+    """Report back ends, models and libraries; exit 1 if the default job cannot run.
+
+    `doctor rig NAME` reports a scanner instead: its working volume and what it resolves there, and
+    draws it.
+    """
+    if what is not None:
+        return _rig(what, name, seed, out)
     payload: dict[str, Any] = {
         "synthgen": __version__,
         "python": platform.python_version(),
@@ -38,6 +57,51 @@ def doctor(as_json: Json = False) -> Result:
         problems += found
     payload |= {"ok": not problems, "problems": problems}
     return Result(payload, _lines(payload), FAILED if problems else DONE)
+
+
+def _rig(what: str, name: str | None, seed: int, out: Path | None) -> Result:
+    from synthgen.scanner import list_rigs, load_rig
+    from synthgen.scanner.rig_picture import draw
+    from synthgen.scanner.rig_report import describe, problems
+
+    if what != "rig" or name is None:
+        raise ConfigError(
+            f"doctor {what}: write `synthgen doctor rig NAME`; rigs are {', '.join(list_rigs())}"
+        )
+    rig = load_rig(name, seed)
+    picture = out or Path(f"rig_{rig.name}.png")
+    draw(rig, picture)
+    report = describe(rig)
+    found = problems(report)
+    report |= {"picture": str(picture), "ok": not found, "problems": found}
+    return Result(report, _rig_lines(report), FAILED if found else DONE)
+
+
+def _rig_lines(report: dict[str, Any]) -> list[str]:
+    x, y, z = report["volume_m"]
+    head = [
+        ("rig", f"{report['rig']}: {report['summary']}"),
+        ("volume", f"{x:g} x {y:g} x {z:g} m; {report['seen_by_one']:.0%} of it is seen by a unit, "
+                   f"{report['seen_by_two']:.0%} by two"),
+        ("light", f"{report['projectors']} projectors, {report['fps']:g} fps"),
+        ("scanner seed", f"{report['seed']} (calibration draw {report['calibration_draws']})"),
+        ("our choice", ", ".join(report["own_choices"]) or "nothing"),
+        ("picture", report["picture"]),
+    ]  # fmt: skip
+    table = [("unit", "baseline m", "depth m", "GSD mm", "mm per px", "disparities", "epipolar px")]
+    for unit in report["units"]:
+        depth, gsd, step = unit["depth_m"], unit["gsd_m"], unit["depth_per_px_m"]
+        seen = depth is not None
+        table.append((
+            unit["unit"],
+            f"{unit['baseline_m']:.3f}",
+            f"{depth[0]:.3f}..{depth[1]:.3f}" if seen else "-",
+            f"{1e3 * gsd[0]:.3f}..{1e3 * gsd[2]:.3f}" if seen else "-",
+            f"{1e3 * step[0]:.2f}..{1e3 * step[2]:.2f}" if seen else "-",
+            f"{unit['disparities']:.0f}" if seen else "-",
+            f"{unit['epipolar_rms_px']:.2f}",
+        ))  # fmt: skip
+    return [*columns(head), "", *columns(table), *report["problems"]]
 
 
 def _version(name: str) -> str | None:

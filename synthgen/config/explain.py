@@ -31,6 +31,9 @@ def _fault(detail: dict[str, Any], schema: dict[str, Any], origins: dict[str, st
     where = _origin(names, origins)
     if detail["type"] == "extra_forbidden":
         return f"{where}unknown key {path!r}{_suggestion(names, schema)}"
+    if detail["type"] == "missing":
+        meant = allowed(path, schema) or f"keys {', '.join(_fields(_at(names, schema), schema))}"
+        return f"{where}{path} is missing; it takes {meant}"
     value = detail["input"]
     text = f"{where}{path or 'the configuration'} = {_shown(value)}"
     if detail["type"] == "value_error":  # a check of ours, which says what to do
@@ -123,7 +126,11 @@ def _number(value: Any) -> str:
 def _at(names: list[str], schema: dict[str, Any]) -> dict[str, Any]:
     node = schema
     for name in names:
-        node = _resolve(_fields(node, schema).get(name, {}), schema)
+        inside = _resolve(node, schema)
+        own = inside.get("properties", {}).get(name)
+        # A mapping by free names, such as the units of a rig, has one schema for all of them.
+        free: dict[str, Any] = next(iter(inside.get("patternProperties", {}).values()), {})
+        node = _resolve(own or free, schema)
     return node
 
 

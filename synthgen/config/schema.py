@@ -22,8 +22,8 @@ from synthgen.config.quality import in_quality
 from synthgen.config.sections import FillRange, FovRange, Section
 from synthgen.config.skin import SkinSettings
 
-Column = Literal["image", "depth", "labels", "meta", "exr"]
-COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr")
+Column = Literal["image", "depth", "labels", "meta", "exr", "scan", "stereo"]
+COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr", "scan", "stereo")
 
 
 class ModelSettings(Section):
@@ -121,6 +121,10 @@ class RenderSettings(Section):
     diffusion: bool = False
     """Spread light under the skin, in the picture. In full true."""
 
+    sensor_depth: Literal["off", "model", "full"] = "off"
+    """What a D4xx-like depth camera at each view reports, beside the exact depth: `full` projects
+    dots and matches pictures, `model` adds errors fitted to that; the rig is `consumer`."""
+
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
     """Mitsuba variant; ``auto`` takes CUDA where it works and LLVM elsewhere."""
 
@@ -128,10 +132,23 @@ class RenderSettings(Section):
 def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     missing = [name for name in COLUMNS[:4] if name not in columns]
     if missing:
-        raise ValueError(f"{', '.join(missing)} missing; only exr may be left out")
+        raise ValueError(f"{', '.join(missing)} missing; only exr, scan and stereo may be left out")
     if len(set(columns)) != len(columns):
         raise ValueError("a column is named twice")
     return tuple(name for name in COLUMNS if name in columns)
+
+
+class ScannerSettings(Section):
+    """A speckle scanner around the hand; needs the column scan, and stereo for its pictures."""
+
+    rig: str | None = Field(default=None, min_length=1, max_length=4096)
+    """Name of a rig (``scenes/rigs``) or path of a YAML file; null scans nothing."""
+
+    level: Literal["full", "half", "model"] = "full"
+    """Full or half resolution, or `model`: no pictures, errors from a fitted noise model."""
+
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    """Scanner seed: one frozen draw of calibration errors, slides and sensor flaws."""
 
 
 class CorpusSettings(Section):
@@ -141,7 +158,8 @@ class CorpusSettings(Section):
     """Samples per shard: the unit of work, of commit and of resuming."""
 
     columns: Annotated[tuple[Column, ...], AfterValidator(_columns)] = COLUMNS[:4]
-    """What is written: image, depth, labels and meta always, exr (linear, float depth) if asked."""
+    """What is written: image, depth, labels and meta always; if asked exr (linear, float
+    depth), scan (coloured mesh) and stereo (rectified speckle pairs, disparities, calibration)."""
 
     jpeg_quality: int = Field(default=95, ge=50, le=100)
     """Quality of the JPEG pictures, percent."""
@@ -171,6 +189,7 @@ class Config(Section):
     sensor: SensorSettings = SensorSettings()
     files: FileSettings = FileSettings()
     render: RenderSettings = RenderSettings()
+    scanner: ScannerSettings = ScannerSettings()
     corpus: CorpusSettings = CorpusSettings()
 
     @model_validator(mode="after")
@@ -187,4 +206,15 @@ class Config(Section):
         ):
             if weight > 0 and not given:
                 raise ValueError(f"{key}, a file or folder of yours, and files.licence")
+        return self
+
+    @model_validator(mode="after")
+    def _scans_need_a_rig(self) -> Self:
+        asked = [name for name in ("scan", "stereo") if name in self.corpus.columns]
+        if asked and self.scanner.rig is None:
+            raise ValueError(f"corpus.columns has {asked[0]} but scanner.rig is null; name a rig")
+        if self.scanner.rig is not None and "scan" not in self.corpus.columns:
+            raise ValueError("scanner.rig is set; add scan to corpus.columns, or set it to null")
+        if "stereo" in asked and self.scanner.level == "model":
+            raise ValueError("scanner.level model takes no pictures: leave the column stereo out")
         return self

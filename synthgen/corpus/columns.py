@@ -5,6 +5,7 @@ column      member              content
 ==========  ==================  ============================================================
 image       KEY.jpg             sRGB JPEG
 depth       KEY.depth.png       16-bit, z along the optical axis, 0.1 mm, 0 = nothing or too far
+..          KEY.sensor.png      the same as a depth camera reports it, where asked for
 labels      KEY.part.png        8-bit part ids
 ..          KEY.instance.png    8-bit instance ids, 0 background
 ..          KEY.normals.png     16-bit x 3, camera frame, round((n + 1) / 2 * 65534)
@@ -12,6 +13,8 @@ labels      KEY.part.png        8-bit part ids
 ..          KEY.uv.png          16-bit x 3: u, v * 65535, third channel 0
 meta        KEY.json            everything that the sample was made from, cameras, keypoints
 exr         KEY.exr             OpenEXR: half R G B linear, float Z, uint part and instance, K
+scan        KEY.scan.ply ...    see :mod:`synthgen.corpus.scans`; view 0 only
+stereo      KEY.UNIT.left.png   see :mod:`synthgen.corpus.scans`; view 0 only
 ==========  ==================  ============================================================
 """
 
@@ -19,6 +22,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +47,14 @@ def key_of(index: int, view: int) -> str:
     return f"{index:09d}_{view:02d}"
 
 
+@dataclass(frozen=True, eq=False)
+class ScannedView(RenderedView):
+    """A view that brings encoded members of columns, and facts for its meta, with it."""
+
+    members: dict[str, Members] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
 def encode_view(
     spec: SampleSpec, number: int, view: RenderedView, columns: tuple[str, ...], quality: int
 ) -> dict[str, Members]:
@@ -54,15 +66,19 @@ def encode_view(
         raise CorpusError(f"sample {spec.index} view {number} has labels but no picture")
     quality = spec.scene.sensor.jpeg_quality or quality
     bgr = np.ascontiguousarray(view.image[..., ::-1])
+    facts = view.facts if isinstance(view, ScannedView) else {}
     encoded: dict[str, Members] = {
         "image": {"jpg": _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])},
-        "depth": {"depth.png": png(_depth_steps(view.labels.depth_z_m))},
+        "depth": {"depth.png": png(depth_steps(view.labels.depth_z_m))},
         "labels": _label_members(view),
-        "meta": {"json": _json(describe(spec, number, view))},
+        "meta": {"json": _json(describe(spec, number, view) | facts)},
     }
     if "exr" in columns:
         encoded["exr"] = {"exr": _exr(view)}
-    return {name: encoded[name] for name in columns}
+    if isinstance(view, ScannedView):
+        for name, members in view.members.items():
+            encoded[name] = encoded.get(name, {}) | members
+    return {name: encoded.get(name, {}) for name in columns}
 
 
 def _label_members(view: RenderedView) -> Members:
@@ -143,7 +159,8 @@ def _box(mask: NDArray[np.bool_]) -> list[int] | None:
     return [int(columns[0]), int(rows[0]), int(columns[-1]), int(rows[-1])]
 
 
-def _depth_steps(depth_z_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+def depth_steps(depth_z_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return depths (H, W), metres, in stored steps; 0 where they do not fit."""
     steps = np.rint(depth_z_m.astype(np.float64) / DEPTH_STEP_M)
     return np.where(steps > 65535, 0, steps).astype(np.uint16)
 

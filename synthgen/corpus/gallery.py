@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from synthgen.corpus import atomic
 from synthgen.corpus.reading import Corpus, open_corpus
-from synthgen.corpus.sample import View
+from synthgen.corpus.sample import Sample, View
 from synthgen.errors import CorpusError
 from synthgen.models.joints import OPENPOSE21_BONES
 
@@ -37,8 +37,8 @@ def write_gallery(path: str | Path, out: str | Path | None = None) -> Path:
     """
     corpus = open_corpus(path)
     file = Path(out) if out is not None else Path(path) / "gallery.html"
-    shown = [view for k in range(min(len(corpus), MOST)) for view in corpus[k].views]
-    cards = "\n".join(_card(view) for view in shown)
+    shown = [corpus[k] for k in range(min(len(corpus), MOST))]
+    cards = "\n".join(_cards(sample) for sample in shown)
     page = _PAGE.format(
         title=html.escape(Path(path).resolve().name),
         count=len(corpus),
@@ -89,14 +89,33 @@ def parts_picture(view: View) -> Image:
     return np.asarray(colours[view.part_id], dtype=np.uint8)
 
 
-def depth_picture(view: View) -> Image:
-    """Colour depth around the hand: near is bright; nothing is black."""
+def depth_picture(view: View, shown: NDArray[np.float32] | None = None) -> Image:
+    """Colour depth around the hand: near is bright; nothing is black.
+
+    ``shown`` (H, W) is another depth of the view, such as its sensor's, in the same colours.
+    """
     z, hand = view.depth_z_m, view.instance_id > 0
     near, far = (z[hand].min(), z[hand].max()) if hand.any() else (z.min(), z.max() + 1e-3)
-    share = np.clip((far + 0.1 - z) / (far + 0.1 - near), 0, 1)
+    depth = z if shown is None else shown
+    share = np.clip((far + 0.1 - depth) / (far + 0.1 - near), 0, 1)
     coloured = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    coloured[z == 0] = 0
+    coloured[depth == 0] = 0
     return np.ascontiguousarray(coloured[..., ::-1])
+
+
+def _cards(sample: Sample) -> str:
+    """One figure per view, and one per picture of the scan where there is one."""
+    figures = [_card(view) for view in sample.views]
+    if sample.scan is not None:
+        from synthgen.corpus.scan_pictures import scan_pictures
+
+        key = sample.views[0].key
+        figures += [
+            f'<figure><img class="scan" src="{_inline(picture, 80, 2 * THUMB_PX)}" alt="{name}">'
+            f"<figcaption>{key} &middot; {name}</figcaption></figure>"
+            for name, picture in scan_pictures(sample.scan).items()
+        ]
+    return "".join(figures)
 
 
 def _card(view: View) -> str:
@@ -122,9 +141,9 @@ def _short(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _inline(image: Image, quality: int) -> str:
+def _inline(image: Image, quality: int, across: int = THUMB_PX) -> str:
     height, width = image.shape[:2]
-    size = (THUMB_PX, max(1, round(THUMB_PX * height / width)))
+    size = (across, max(1, round(across * height / width)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     data = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
@@ -199,7 +218,7 @@ nav label {{ margin-right: 18px; cursor: pointer }}
 .hist rect {{ fill: var(--bar) }}
 main {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); gap: 14px }}
 figure {{ margin: 0; background: var(--card); border-radius: 8px; overflow: hidden }}
-.stack {{ position: relative }} .stack img {{ display: block; width: 100% }}
+.scan {{ width: 100% }} .stack {{ position: relative }} .stack img {{ display: block; width: 100% }}
 .stack svg {{ position: absolute; inset: 0; width: 100%; height: 100% }}
 figcaption {{ padding: 6px 10px; font-size: 12px }} td {{ padding-right: 10px; color: var(--soft) }}
 .parts, .depth, .bones {{ display: none !important }}

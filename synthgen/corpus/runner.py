@@ -57,7 +57,20 @@ def render_attempts(config: Config) -> Attempt:
     """Return the real maker: a renderer that persists for the life of the worker."""
     from synthgen.render.renderer import Renderer
 
-    return Renderer(config.render.variant).attempt
+    return with_sensors(config, Renderer(config.render.variant).attempt)
+
+
+def with_sensors(config: Config, attempt: Attempt) -> Attempt:
+    """Return a maker that adds scan and sensor depth, where asked for, to another's views."""
+    if config.scanner.rig is not None:
+        from synthgen.corpus.scanning import Scanning
+
+        attempt = Scanning(config, attempt).attempt
+    if config.render.sensor_depth != "off":
+        from synthgen.corpus.sensing import DepthSensing
+
+        attempt = DepthSensing(config, attempt).attempt
+    return attempt
 
 
 def generate(

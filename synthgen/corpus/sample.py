@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from synthgen.geometry.cameras import camera_from_K, pixel_rays
 from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject
+
+if TYPE_CHECKING:
+    from synthgen.scanner import Scan
 
 Fetch = Callable[[str, str], bytes]
 
@@ -160,10 +163,13 @@ class View:
         """Where depth is known (H, W)."""
         return self.depth_z_m > 0
 
-    @property
-    def sensor_depth_z_m(self) -> None:
-        """What a depth sensor would report; None: this corpus simulates none."""
-        return None
+    @cached_property
+    def sensor_depth_z_m(self) -> NDArray[np.float32] | None:
+        """What a depth camera would report (H, W), metres, 0 = nothing; None: none is simulated."""
+        if "sensor_depth" not in self.meta:
+            return None
+        steps = self._image("depth", "sensor.png", 0)
+        return np.asarray(steps * DEPTH_STEP_M, dtype=np.float32)
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
@@ -264,15 +270,18 @@ def _hand(row: dict[str, Any]) -> HandView:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample: its views, its truth, and the spec it was made from.
-
-    ``scan`` is None: this corpus simulates no scanner.
-    """
+    """One sample: its views, its truth, and the spec it was made from."""
 
     index: int
     views: tuple[View, ...]
     spec: SampleSpec
-    scan: None = None
+
+    @cached_property
+    def scan(self) -> Scan | None:
+        """The scan of the hand, in the sample's world, or None where the corpus has no scanner."""
+        from synthgen.corpus.scans import read_scan
+
+        return read_scan(self.views[0].key, self.views[0].stored_member)
 
     @cached_property
     def subjects(self) -> list[Subject]:

@@ -15,7 +15,10 @@ from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_picture
 from synthgen.corpus.plan import CONFIG
 from synthgen.corpus.reading import Corpus, open_corpus
+from synthgen.corpus.runner import with_sensors
 from synthgen.corpus.sample import Sample
+from synthgen.corpus.scan_pictures import scan_pictures
+from synthgen.scanner import Scan
 
 
 def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str, Any]:
@@ -53,23 +56,51 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         ],
         "pictures": [str(_pictures(corpus, sample, k)) for k in range(len(sample.views))],
     }  # fmt: skip
+    if sample.scan is not None:
+        found["scan"] = _scan(sample.scan)
+        found["pictures"] += [str(path) for path in _scan_pictures(corpus, sample, sample.scan)]
     if remake:
         found["remake"] = compare(corpus, sample)
     return found
 
 
 def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
-    """Write one view's picture, skeleton, parts and depth side by side as a PNG."""
+    """Write one view's picture, skeleton, parts and depths side by side as a PNG."""
     view = sample.views[number]
     row: list[NDArray[np.uint8]] = [
         view.image, skeleton_picture(view), parts_picture(view), depth_picture(view),
     ]  # fmt: skip
+    if view.sensor_depth_z_m is not None:
+        row.append(depth_picture(view, view.sensor_depth_z_m))
     sheet = np.concatenate(row, axis=1)[..., ::-1]
     folder = corpus.path / "show"
     atomic.make_folder(folder)
     path = folder / f"{view.key}.png"
     atomic.replace(path, cv2.imencode(".png", sheet)[1].tobytes())
     return path
+
+
+def _scan(scan: Scan) -> dict[str, Any]:
+    """Return how large and how wrong a scan is, JSON types."""
+    error = scan.provenance["error_m"].astype(np.float64)
+    return {
+        "level": scan.level,
+        "vertices": len(scan.vertices),
+        "faces": len(scan.faces),
+        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "median_m": float(np.median(error)),
+        "coloured": float((scan.provenance["colour_unit"] >= 0).mean()),
+        "units": {unit.ident: unit.problem for unit in scan.units},
+    }
+
+
+def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
+    paths = []
+    for name, picture in scan_pictures(scan).items():
+        path = corpus.path / "show" / f"{sample.views[0].key}.{name}.png"
+        atomic.replace(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+        paths.append(path)
+    return paths
 
 
 def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
@@ -79,7 +110,9 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     config = load_config(str(corpus.path / CONFIG))
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
-    for number, view in enumerate(renderer.render(sample.spec)):
+    rendered = renderer.render(sample.spec)
+    _, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
+    for number, view in enumerate(views):
         encoded = encode_view(
             sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality
         )

@@ -15,7 +15,7 @@ import numpy as np
 
 from synthgen.errors import ShapeError
 
-Kind = Literal["corpus", "subject", "sample"]
+Kind = Literal["corpus", "subject", "sample", "scanner"]
 # One sample's streams by name.
 Streams = Callable[[str], np.random.Generator]
 
@@ -27,7 +27,7 @@ def stream(seed: int, kind: Kind, ident: int, attempt: int, name: str) -> np.ran
     ----------
     seed : int
         Corpus seed, >= 0; seed 0 is a seed like any other.
-    kind : {"corpus", "subject", "sample"}
+    kind : {"corpus", "subject", "sample", "scanner"}
         What ``ident`` counts.
     ident : int
         Subject id or sample index, >= 0.

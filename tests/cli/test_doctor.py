@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 
 from synthgen.cli import doctor
 from synthgen.cli.main import main
 from synthgen.errors import ModelError
+from synthgen.scanner import list_rigs
 
 GOOD = {
     "cuda": False,
@@ -76,3 +79,37 @@ def test_edge_a_doctor_does_not_die(
     monkeypatch.setattr("synthgen.models.list_models", gone)
     assert main(["doctor"]) == 1
     assert "No module named 'scipy' (pip install" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["hand5", "foot10"])
+def test_smoke_rig(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "rig.png"
+    assert main(["doctor", "rig", name, "--out", str(picture), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["problems"] == []
+    assert report["seen_by_one"] > 0.9
+    for unit in report["units"]:
+        near, far = unit["depth_m"]
+        assert 0.2 < near < far < 1.2
+        # One pixel of disparity at depth z is z^2 / (f B), and a pixel is z / f.
+        size, step = unit["gsd_m"][1], unit["depth_per_px_m"][1]
+        assert step / size == pytest.approx((near + far) / 2 / unit["baseline_m"], rel=1e-9)
+    image = cv2.imread(str(picture))
+    assert image is not None
+    assert image.std() > 5
+    assert main(["doctor", "rig", name, "--out", str(picture)]) == 0
+    assert "GSD mm" in capsys.readouterr().out
+
+
+def test_edge_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "rig"]) == 2
+    assert "synthgen doctor rig NAME" in capsys.readouterr().err
+    assert main(["doctor", "rag", "mini"]) == 2
+    assert main(["doctor", "rig", "mni"]) == 2
+    assert "did you mean 'mini'" in capsys.readouterr().err
+    text = list_rigs()["mini"].read_text(encoding="utf-8")
+    blind = tmp_path / "blind.yaml"
+    blind.write_text(text.replace("distance_m: 0.6}\n  right", "distance_m: 0.6, slot: 3, "
+                                  "target_m: [3, 0, 0]}\n  right"))  # fmt: skip
+    assert main(["doctor", "rig", str(blind), "--out", str(tmp_path / "b.png")]) == 1
+    assert "unit front sees nothing of the working volume" in capsys.readouterr().out

@@ -38,7 +38,7 @@ def test_reference_commands_exist(words: list[str]) -> None:
     command = command_of(rest)
     options = {name for parameter in command.params for name in parameter.opts}
     assert {word for word in rest if word.startswith("--")} <= options
-    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    arguments = [p for p in command.params if p.param_type_name == "argument" and p.required]
     assert len([w for w in rest[: len(arguments)] if not w.startswith("-")]) == len(arguments)
 
 

@@ -16,8 +16,8 @@ from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
 
 TOP = [
-    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scene",
-    "verify",
+    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scanner",
+    "scene", "verify",
 ]  # fmt: skip
 MODELS = {
     "BodyModel", "Forward", "Gradient", "HandSpace", "Jacobian", "ManoModel", "Posed", "as_torch",
@@ -38,13 +38,15 @@ KEYS = [
     "sensor.balance_error", "sensor.psf_px", "sensor.full_well", "sensor.read_e", "sensor.bayer",
     "sensor.sharpen", "sensor.bloom", "sensor.jpeg", "files.hdri", "files.images",
     "files.licence", "render.width", "render.height", "render.spp", "render.quality",
-    "render.max_depth", "render.denoise", "render.diffusion", "render.variant",
+    "render.max_depth", "render.denoise", "render.diffusion", "render.sensor_depth",
+    "render.variant",
+    "scanner.rig", "scanner.level", "scanner.seed",
     "corpus.shard_size",
     "corpus.columns", "corpus.jpeg_quality",
 ]  # fmt: skip
 _CONFIG = ["CONFIG"]
 VERBS = {
-    "doctor": ["--json"],
+    "doctor": ["rig", "NAME", "--seed", "--out", "--json"],
     "models list": ["--json"],
     "models show": [
         "NAME", "--hand", "--mano", "--official-left-shape", "--picture", "--json",

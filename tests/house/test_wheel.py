@@ -58,6 +58,8 @@ def test_properties_wheel_holds_data_and_no_tests(wheel: Path) -> None:
         "synthgen/_data/configs/hand_rgbd.yaml",
         "synthgen/_data/configs/fixtures.yaml",
         "synthgen/_data/scenes/README.md",
+        "synthgen/_data/scenes/rigs/hand5.yaml",
+        "synthgen/_data/scenes/noise/consumer.yaml",
         "synthgen/models/data/cc0-hand.npz",
         "synthgen/py.typed",
     } <= names

@@ -1,0 +1,113 @@
+"""Figures of a measurement against the truth: pairs, whole scans, and the noise that must be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+from scipy.spatial import cKDTree
+
+from synthgen.geometry.normals import unit
+from synthgen.scanner.dic_reference import DicSettings
+from synthgen.scanner.glass import seen_position
+from synthgen.scanner.result import Scan, UnitScan
+from synthgen.scanner.rig import Unit
+from synthgen.scanner.stage import Stage
+from synthgen.scanner.truth import seen_from
+
+Array = NDArray[np.float64]
+INLIER_MM = 1.0
+CORE_PX = 9
+LEAST_FACING = 0.26
+
+
+@dataclass(frozen=True)
+class PairFigures:
+    """One unit's depth errors, millimetres along its axis.
+
+    Attributes
+    ----------
+    core_mm, all_mm : float
+        RMS of errors below 1 mm, at least 9 pixels from edges and occlusions, and everywhere.
+    outliers, complete : float
+        Share of matched samples with a larger error; matched share of what both cameras see.
+    bias_mm : float
+        Median.
+    """
+
+    core_mm: float
+    all_mm: float
+    outliers: float
+    complete: float
+    bias_mm: float
+
+
+def pair_figures(measured: UnitScan) -> PairFigures:
+    """Compare a unit's disparities with the ideal ones, which it must bring with it."""
+    assert measured.true_disparity is not None, "ask for true_disparity in the settings"
+    found, true = (
+        measured.pair.depth(d.astype(np.float64))
+        for d in (measured.disparity, measured.true_disparity)
+    )
+    error = 1e3 * (found - true)
+    both, seen = np.isfinite(error), np.isfinite(measured.true_disparity)
+    n = 2 * round(CORE_PX / measured.step) + 1
+    core = cv2.erode(seen.astype(np.uint8), np.ones((n, n), np.uint8)) > 0
+    return PairFigures(
+        core_mm=_rms(error[both & core]),
+        all_mm=_rms(error[both]),
+        outliers=float((np.abs(error[both]) > INLIER_MM).mean()),
+        complete=float(both.sum() / seen.sum()),
+        bias_mm=float(np.median(error[both])),
+    )
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(error[np.abs(error) < INLIER_MM] ** 2)))
+
+
+def predicted_sigma(picture: NDArray[Any], noise: NDArray[Any], settings: DicSettings) -> Array:
+    """Least standard error (H, W) of a disparity, pixels: the Cramer-Rao bound of its window.
+
+    Parameters
+    ----------
+    picture : (H, W) float
+        Without noise, as the matcher sees it.
+    noise : (H, W) float
+        Standard deviation of one picture's pixels.
+    settings : DicSettings
+        Its Gaussian weights give the sandwich form ``sqrt(sum 2 s^2 w^2 g^2) / sum w g^2``.
+    """
+    slope = np.gradient(np.asarray(picture, np.float64), axis=1) ** 2
+    w = settings.weights
+    top = _windowed(2 * np.asarray(noise, np.float64) ** 2 * slope, w**2)
+    return np.asarray(np.sqrt(top) / np.maximum(_windowed(slope, w), 1e-9))
+
+
+def _windowed(values: Array, weights: Array) -> Array:
+    return np.asarray(correlate1d(correlate1d(values, weights, axis=0), weights, axis=1))
+
+
+def seen_by_pairs(stage: Stage, units: tuple[Unit, ...], points: Array, normals: Array) -> Any:
+    """Tell which surface points (n, 3) some unit sees with both cameras at a cosine above 0.26."""
+    seen = np.zeros(len(points), dtype=bool)
+    for unit_ in units:
+        both = np.ones(len(points), dtype=bool)
+        for camera in (unit_.true.left, unit_.true.right):
+            eyes = seen_position(stage.rig.glass, camera.position, points)
+            facing = np.einsum("nk,nk->n", unit(eyes - points), normals)
+            both &= (facing > LEAST_FACING) & seen_from(stage, camera, points)
+        seen |= both
+    return seen
+
+
+def coverage(scan: Scan, points: Array, seen: NDArray[np.bool_], within_m: float) -> Any:
+    """Return the shares of seen and of never-seen points that the scan has within a distance."""
+    away = cKDTree(scan.vertices).query(points, distance_upper_bound=within_m)[0]
+    near = np.asarray(away) < within_m
+    unseen = ~seen
+    return float(near[seen].mean()), float(near[unseen].mean()) if unseen.any() else 0.0

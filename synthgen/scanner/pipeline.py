@@ -1,0 +1,228 @@
+"""From a mesh to its scan: every unit's measurement, fusion, colours, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ScanError
+from synthgen.geometry.normals import vertex_normals
+from synthgen.sampling.streams import stream
+from synthgen.scanner.atlas import build_atlas
+from synthgen.scanner.census import match_census
+from synthgen.scanner.colour import ColourView, colour_vertices
+from synthgen.scanner.exposure import Exposure, expose, unit_time
+from synthgen.scanner.ideal import ideal_disparity
+from synthgen.scanner.isosurface import extract
+from synthgen.scanner.match import DisparityGrid, lit, match
+from synthgen.scanner.noise import add_noise, load_noise
+from synthgen.scanner.provenance import measured_by, truth_of
+from synthgen.scanner.range_grid import RangeGrid, range_grid
+from synthgen.scanner.rectify import Rectified, rectify, rectify_images
+from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
+from synthgen.scanner.rig import Rig, Unit, scaled
+from synthgen.scanner.settings import ScanSettings, settings_for
+from synthgen.scanner.stage import Effects, Stage, prepare
+from synthgen.scanner.subject import ScanScene, scene_of
+from synthgen.scanner.tsdf import fuse
+from synthgen.scanner.white import expose_colour
+
+LEAST_MATCHED = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What one unit gave: its part of the scan, its points, its colour picture."""
+
+    unit: UnitScan
+    grid: RangeGrid | None
+    view: ColourView | None
+
+
+def scan(
+    mesh_or_scene: Any,
+    rig: Rig,
+    *,
+    rng: np.random.Generator,
+    level: Level = "full",
+    settings: ScanSettings | None = None,
+    effects: Effects | None = None,
+) -> Scan:
+    """Scan something.
+
+    Parameters
+    ----------
+    mesh_or_scene : trimesh.Trimesh or ScanScene
+        Metres, in the rig's frame (origin at the centre of the working volume, y up). A mesh gets
+        the default skin.
+    rig : Rig
+        See :func:`synthgen.scanner.load_rig`.
+    rng : numpy.random.Generator
+        Of this scan's noise; the scanner's own flaws are frozen in the rig.
+    level : {"full", "half", "model"}
+        Full resolution; half the pixels along each edge; or no grey pictures at all: ideal
+        disparities with a noise model that was fitted to full ones.
+    settings : ScanSettings, optional
+        Default :func:`settings_for` of the rig and level.
+    effects : Effects, optional
+        Switches of what makes light.
+
+    Returns
+    -------
+    Scan
+        Where nothing could be measured it is empty, and ``problem`` says which unit failed and
+        why; a unit that failed beside others says so in its own ``problem``.
+
+    Raises
+    ------
+    ScanError
+        If the subject is outside the working volume or a camera inside a solid.
+    """
+    chosen = settings or settings_for(rig, level)
+    scene = scene_of(mesh_or_scene)
+    used = scaled(rig, 0.5) if level == "half" else rig
+    stage = prepare(scene, used, rng=rng, effects=effects or Effects())
+    parts = [measure(stage, unit, level, chosen) for unit in used.units]
+    return assemble(parts, scene, level, chosen)
+
+
+def assemble(
+    parts: Sequence[Measurement], scene: ScanScene, level: Level, settings: ScanSettings
+) -> Scan:
+    """Fuse what the units measured; ``scene`` is what provenance refers to."""
+    units = tuple(part.unit for part in parts)
+    grids = [part.grid for part in parts if part.grid is not None]
+    rows = [k for k, part in enumerate(parts) if part.grid is not None]
+    try:
+        field = fuse(grids, settings.fusion)
+        vertices, faces = extract(field, settings.fusion.least_faces, settings.fill_voxels)
+    except ScanError as error:
+        why = "; ".join(f"unit {u.ident}: {u.problem}" for u in units if u.problem)
+        return empty_scan(units, level, f"{error}. {why}" if why else str(error))
+    normals = vertex_normals(vertices, faces)
+    views = [part.view for part in parts if part.view is not None]
+    coloured = colour_vertices(vertices, normals, faces, views)
+    atlas = build_atlas(coloured, faces, views)
+    measured = measured_by(vertices, grids, settings.fusion.truncation * settings.fusion.voxel_m)
+    unit = np.where(measured.unit >= 0, np.array(rows, np.int16)[measured.unit], -1)
+    provenance: dict[str, NDArray[Any]] = {
+        "unit": unit.astype(np.int16),
+        "confidence": measured.confidence,
+        "sigma_m": measured.sigma_m,
+        "colour_unit": coloured.view,
+    }
+    if settings.truth:
+        truth = truth_of(vertices, scene)
+        provenance |= {"solid": truth.solid, "face": truth.face, "error_m": truth.error_m,
+                       "barycentric": truth.barycentric}  # fmt: skip
+    return Scan(
+        vertices=vertices.astype(np.float32),
+        normals=normals.astype(np.float32),
+        faces=faces.astype(np.int32),
+        colors=coloured.colors,
+        uv=atlas.uv,
+        corner_uv=atlas.corner_uv,
+        texture=atlas.texture,
+        provenance=provenance,
+        units=units,
+        level=level,
+    )
+
+
+def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> Measurement:
+    """Let one unit measure the scene; what goes wrong is told in the result's ``problem``."""
+    pair = rectify(unit.nominal.left, unit.nominal.right)
+    if level == "model":
+        pictures, grid, problem = None, _modelled(stage, unit, pair, settings), None
+    else:
+        pictures, grid, problem = _matched(
+            stage.rig, pair, expose(stage, unit, spp=settings.spp), settings
+        )
+    true = None
+    if settings.true_disparity:
+        true = ideal_disparity(stage, unit, pair, grid.step, time_s=unit_time(stage, unit))
+    left, right = (None, None) if pictures is None else pictures
+    done = UnitScan(unit.ident, pair, left, right, grid.disparity, grid.step, true, problem)
+    view = None
+    if settings.colour and unit.nominal.colour is not None:
+        view = ColourView(unit.nominal.colour, expose_colour(stage, unit))
+    if not grid.matched.any():
+        return Measurement(done, None, view)
+    points = range_grid(pair, grid, settings.grid, stage.rig.glass)
+    if not points.known.any():
+        lost = "every matched point looks like an edge; the surface is too small or too steep"
+        return Measurement(replace(done, problem=problem or lost), None, view)
+    return Measurement(done, points, view)
+
+
+def depth_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
+    """Return the depths, metres, between which the working volume lies for a pair."""
+    edges = np.array(rig.volume_m) / 2
+    corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * edges - edges
+    depth = (corners - pair.camera.position) @ pair.camera.T[:3, 2]
+    return max(float(depth.min()), 2 * pair.baseline_m), float(depth.max())
+
+
+def disparity_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
+    """Return the disparities, pixels, of the working volume's far and near end."""
+    near, far = depth_bounds(rig, pair)
+    return float(pair.disparity(far)), float(pair.disparity(near))
+
+
+def _matched(
+    rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings
+) -> tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], DisparityGrid, str | None]:
+    """Rectified pictures, disparities and what is wrong with them."""
+    scale = 255 / rig.grey.full_scale
+    raw = shot.left * np.float32(scale), shot.right * np.float32(scale)
+    left, right = rectify_images(pair, raw)
+    bounds, problem = disparity_bounds(rig, pair), shot.problem
+    grid = _nothing(left.shape, settings.match.step)
+    if problem is None:
+        try:
+            if rig.reconstruction.matcher == "census":
+                grid = match_census(left, right, bounds)
+            else:
+                grid = match(left, right, bounds, settings.match)
+            problem = _doubt(rig, pair, left, grid, settings)
+        except ScanError as error:
+            problem = str(error)
+    whole = [np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in (left, right)]
+    return (whole[0], whole[1]), grid, problem
+
+
+def _doubt(
+    rig: Rig, pair: Rectified, left: NDArray[Any], grid: DisparityGrid, settings: ScanSettings
+) -> str | None:
+    mask = lit(left, settings.match)[:: grid.step, :: grid.step]
+    share = float((grid.matched & mask).sum() / max(mask.sum(), 1))
+    if share >= LEAST_MATCHED:
+        return None
+    near, far = depth_bounds(rig, pair)
+    low, high = disparity_bounds(rig, pair)
+    return (
+        f"only {100 * share:.0f} % of what is lit was matched within the working volume's "
+        f"disparities {low:.0f}..{high:.0f} px (depth {near:.3f}..{far:.3f} m): the disparity "
+        "range is too small for the subject (enlarge the rig's volume_m or move the subject), or "
+        "the pictures are blurred or their rows do not correspond"
+    )
+
+
+def _nothing(shape: tuple[int, ...], step: int) -> DisparityGrid:
+    rows, columns = (-(-n // step) for n in shape)
+    blank = np.full((rows, columns), np.nan, np.float32)
+    return DisparityGrid(blank, blank, np.zeros_like(blank), step, (shape[0], shape[1]))
+
+
+def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings) -> DisparityGrid:
+    """Ideal disparities with the noise of the rig's matcher."""
+    step = settings.match.step
+    ideal = ideal_disparity(stage, unit, pair, step, time_s=unit_time(stage, unit))
+    model = load_noise("consumer" if stage.rig.reconstruction.matcher == "census" else "hand5")
+    shape = pair.camera.height, pair.camera.width
+    rng = stream(stage.key, "sample", unit.index, 0, "matching")
+    return add_noise(ideal, step, shape, model, rng=rng)

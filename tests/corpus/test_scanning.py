@@ -1,0 +1,105 @@
+"""Scans as a corpus modality, with the smallest rig."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import igl
+import numpy as np
+import pytest
+
+from synthgen.config import load_config
+from synthgen.corpus import open_corpus
+from synthgen.corpus.gallery import write_gallery
+from synthgen.corpus.runner import generate
+from synthgen.corpus.scanning import Scanning
+from synthgen.errors import ConfigError
+from synthgen.sampling.draw import draw_sample
+from synthgen.scanner.hand import hand_solid
+from synthgen.scanner.result import empty_scan
+
+SETTINGS = [
+    "scanner.rig=mini", "render.width=32", "render.height=32", "render.spp=1",
+    "corpus.shard_size=1",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scans") / "corpus"
+    config = load_config("hand_scan", [*SETTINGS, "samples=1"])
+    generate(config, out, progress=False)
+    return out
+
+
+def test_reference_scan_lies_on_the_truth_of_the_sample(made: Path) -> None:
+    sample = open_corpus(made)[0]
+    scan = sample.scan
+    assert scan is not None
+    assert len(scan.vertices) > 500
+    hand = hand_solid(sample.truth.description).solid
+    distance, _, _ = igl.point_mesh_squared_distance(
+        scan.vertices.astype(np.float64), hand.vertices, hand.faces
+    )[:3]
+    assert np.quantile(np.sqrt(distance), 0.9) < 0.001
+    error = np.abs(scan.provenance["error_m"])
+    assert np.sqrt(distance) == pytest.approx(error, abs=2e-6)
+    model = sample.truth.loaded
+    assert scan.provenance["face"].max() < len(model.surface.faces)
+
+
+def test_properties_units_come_back_with_what_stereo_networks_want(made: Path) -> None:
+    scan = open_corpus(made)[0].scan
+    assert scan is not None
+    assert [unit.ident for unit in scan.units] == ["front", "right"]
+    for unit in scan.units:
+        assert unit.left is not None and unit.right is not None
+        assert unit.left.dtype == np.uint8 and unit.left.shape == unit.right.shape
+        assert unit.true_disparity is not None
+        error = unit.disparity - unit.true_disparity
+        if np.isfinite(error).sum() > 100:
+            assert np.nanmedian(np.abs(error)) < 0.5
+        x, y, d = np.argwhere(np.isfinite(unit.disparity))[0][::-1].tolist() + [0.0]
+        h = unit.Q @ np.array([x, y, d, 1.0])
+        assert h[:3] / h[3] == pytest.approx(
+            np.linalg.inv(unit.pair.camera.T)[:3, :3]
+            @ (unit.pair.points(np.array(x), np.array(y), np.array(d)) - unit.pair.camera.position)
+        )
+
+
+def test_smoke_gallery_shows_the_scan(made: Path, tmp_path: Path) -> None:
+    page = write_gallery(made, tmp_path / "gallery.html").read_text()
+    for name in ("speckle", "disparity", "error", "scan"):
+        assert f'alt="{name}"' in page
+
+
+def test_properties_made_again_the_bytes_are_the_same(made: Path, tmp_path: Path) -> None:
+    config = load_config("hand_scan", [*SETTINGS, "samples=1"])
+    generate(config, tmp_path / "again", progress=False)
+    for column in ("scan", "stereo"):
+        a, b = (path / column / "000000.tar" for path in (made, tmp_path / "again"))
+        assert a.read_bytes() == b.read_bytes(), column
+
+
+def test_edge_an_empty_scan_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_config("hand_scan", SETTINGS)
+    spec = draw_sample(config, 0)
+    views: list[Any] = ["a view"]
+    scanning = Scanning(config, lambda _: (None, views))
+    nothing = empty_scan((), "full", "the scan is empty. unit front: black")
+    monkeypatch.setattr(scanning, "scan", lambda _: (nothing, np.eye(4)))
+    assert scanning.attempt(spec) == ("scan: the scan is empty. unit front: black", [])
+    rejected = Scanning(config, lambda _: ("view 0: out of frame", []))
+    assert rejected.attempt(spec) == ("view 0: out of frame", [])
+    assert dataclasses.is_dataclass(nothing)
+
+
+def test_edge_columns_and_rig_belong_together() -> None:
+    with pytest.raises(ConfigError, match=r"scanner\.rig is null"):
+        load_config("hand_rgbd", ["corpus.columns=[image,depth,labels,meta,scan]"])
+    with pytest.raises(ConfigError, match="add scan"):
+        load_config("hand_rgbd", ["scanner.rig=mini"])
+    with pytest.raises(ConfigError, match="takes no pictures"):
+        load_config("hand_scan", ["scanner.level=model"])

@@ -1,0 +1,122 @@
+"""scan() from mesh to scan with the smallest rig, and what it says when something is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from synthgen.errors import ConfigError, ScanError
+from synthgen.sampling.streams import stream
+from synthgen.scanner import Scan, load_rig, scan, settings_for
+from synthgen.scanner.evaluate import coverage, pair_figures, predicted_sigma, seen_by_pairs
+from synthgen.scanner.match import FAST
+from synthgen.scanner.pipeline import disparity_bounds
+from synthgen.scanner.rectify import rectify
+from synthgen.scanner.rig import Rig
+from synthgen.scanner.stage import prepare
+
+BALL = trimesh.creation.icosphere(subdivisions=5, radius=0.018)
+
+
+def scanned(rig: Rig, level: Any = "full", mesh: Any = BALL, **changes: Any) -> Scan:
+    settings = replace(settings_for(rig, level), true_disparity=True, **changes)
+    rng = stream(0, "sample", 0, 0, "scan")
+    return scan(mesh, rig, rng=rng, level=level, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def full() -> Scan:
+    return scanned(load_rig("mini"))
+
+
+def test_smoke_ball(full: Scan) -> None:
+    assert full.problem is None
+    assert len(full.vertices) > 400
+    radius = np.linalg.norm(full.vertices, axis=1)
+    assert np.sqrt(np.mean((radius - 0.018) ** 2)) < 0.0006
+    assert full.provenance["error_m"] == pytest.approx(radius - 0.018, abs=3e-5)
+    assert set(np.unique(full.provenance["unit"])) == {0, 1}
+    assert (full.provenance["colour_unit"] >= 0).mean() > 0.8
+    mean = full.colors[full.provenance["colour_unit"] >= 0].mean(axis=0)
+    assert mean[0] > mean[1] > mean[2], "the default skin is reddish"
+    assert full.texture.shape[2] == 3
+
+
+def test_properties_pairs_are_measured_well(full: Scan) -> None:
+    for unit in full.units:
+        figures = pair_figures(unit)
+        assert figures.complete > 0.7
+        assert figures.core_mm < 0.5
+        assert abs(figures.bias_mm) < 0.2
+
+
+def test_properties_same_seed_same_bytes(full: Scan) -> None:
+    again = scanned(load_rig("mini"))
+    for name in ("vertices", "faces", "colors", "texture", "corner_uv"):
+        assert getattr(again, name).tobytes() == getattr(full, name).tobytes(), name
+    assert again.units[0].disparity.tobytes() == full.units[0].disparity.tobytes()
+
+
+def test_properties_level_model_takes_no_pictures(full: Scan) -> None:
+    found = scanned(load_rig("mini"), "model")
+    assert found.units[0].left is None
+    assert 0.5 < len(found.vertices) / len(full.vertices) < 1.5
+    assert np.abs(np.median(found.provenance["error_m"])) < 0.0005
+
+
+def test_properties_coverage_counts_what_is_there(full: Scan) -> None:
+    points, normals = np.asarray(BALL.vertices), np.asarray(BALL.vertex_normals)
+    rig = load_rig("mini")
+    stage = prepare(BALL, rig, rng=stream(0, "sample", 0, 0, "stage"))
+    seen = seen_by_pairs(stage, rig.units, points, normals)
+    assert 0.3 < seen.mean() < 0.8
+    there, invented = coverage(full, points, seen, 0.002)
+    assert there > 0.8
+    assert invented < 0.3
+
+
+def test_reference_predicted_sigma_of_a_ramp() -> None:
+    ramp = np.tile(np.arange(60.0) * 3, (60, 1))
+    sigma = predicted_sigma(ramp, np.full(ramp.shape, 2.0), FAST.dic)
+    w = np.outer(FAST.dic.weights, FAST.dic.weights)
+    expected = np.sqrt(2 * 4 * (w**2).sum() * 9) / (w.sum() * 9)
+    assert sigma[30, 30] == pytest.approx(expected, rel=1e-6)
+
+
+def test_edge_dark_projectors_are_told_by_unit() -> None:
+    rig = load_rig("mini")
+    dark = replace(rig, projectors=tuple(replace(p, irradiance=0.0) for p in rig.projectors))
+    found = scanned(dark)
+    assert len(found.vertices) == 0
+    assert found.problem is not None
+    assert "unit front" in found.problem and "unit right" in found.problem
+    assert all(unit.problem for unit in found.units)
+
+
+def test_edge_too_small_a_disparity_range_is_told() -> None:
+    rig = load_rig("mini")
+    near = replace(rig, volume_m=(0.004, 0.004, 0.004))
+    low, high = disparity_bounds(
+        near, rectify(rig.units[0].nominal.left, rig.units[0].nominal.right)
+    )
+    assert high - low < 4
+    plate = trimesh.creation.box((0.05, 0.05, 0.002)).apply_translation((0, 0, 0.03))
+    speck = trimesh.creation.icosphere(radius=0.001)
+    found = scanned(near, mesh=trimesh.util.concatenate([plate, speck]))
+    told = [unit.problem for unit in found.units if unit.problem]
+    assert any("disparity range is too small" in text for text in told)
+
+
+def test_edge_outside_the_volume() -> None:
+    away = BALL.copy().apply_translation((1.0, 0, 0))
+    with pytest.raises(ScanError):
+        scanned(load_rig("mini"), mesh=away)
+
+
+def test_edge_unknown_level() -> None:
+    with pytest.raises(ConfigError, match="levels are full, half, model"):
+        settings_for(load_rig("mini"), "quarter")  # type: ignore[arg-type]

@@ -1,0 +1,108 @@
+"""Range grids, fusion and the surface that comes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from speckle import Sphere, ring_of_grids
+
+from synthgen.errors import ScanError
+from synthgen.geometry.topology import boundary_edges
+from synthgen.scanner.isosurface import extract
+from synthgen.scanner.provenance import measured_by, truth_of
+from synthgen.scanner.range_grid import bridged
+from synthgen.scanner.subject import scene_of
+from synthgen.scanner.tsdf import BRICK, Field, FusionSettings, fuse
+
+RADIUS = 0.02
+BALL = Sphere(RADIUS)
+SETTINGS = FusionSettings(voxel_m=0.001)
+
+
+@pytest.fixture(scope="module")
+def around() -> list[Any]:
+    return ring_of_grids(BALL, range(0, 360, 60), (-40, 40))
+
+
+@pytest.fixture(scope="module")
+def front() -> list[Any]:
+    return ring_of_grids(BALL, [0, 50], [0])
+
+
+def test_reference_range_grid_lies_on_the_sphere(front: list[Any]) -> None:
+    grid = front[0]
+    points, normals = grid.world_points(), grid.world_normals()
+    assert len(points) > 3000
+    radius = np.linalg.norm(points, axis=1)
+    assert np.abs(radius - RADIUS).max() < 1e-6
+    assert np.einsum("nk,nk->n", points / radius[:, None], normals).min() > 0.97
+    assert np.nanmin(grid.facing) > 0.25
+    assert np.nanmedian(grid.sigma_m) == pytest.approx(0.01 * 0.58**2 / (3243 * 0.12), rel=0.05)
+
+
+def test_reference_closed_sphere(around: list[Any]) -> None:
+    vertices, faces = extract(fuse(around, SETTINGS), 200)
+    ball = trimesh.Trimesh(vertices, faces, process=False)
+    assert ball.is_watertight
+    assert ball.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.002), "faces look outwards"
+    error = np.linalg.norm(vertices, axis=1) - RADIUS
+    assert np.sqrt(np.mean(error**2)) < 1e-5
+
+
+def test_properties_real_holes_stay_open(front: list[Any]) -> None:
+    """What no unit saw has no face; filling closes nothing that it should not reach."""
+    field = fuse(front, SETTINGS)
+    vertices, faces = extract(field, 200)
+    assert len(boundary_edges(faces)) > 50
+    seen = np.concatenate([grid.world_points() for grid in front])
+    away = np.linalg.norm(vertices[:, None] - seen[None, ::7], axis=2).min(axis=1)
+    assert away.max() < 0.003
+    filled, more = extract(field, 200, fill=4.0)
+    assert len(more) > len(faces)
+    assert np.linalg.norm(filled, axis=1).max() < 2 * RADIUS
+
+
+def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) -> None:
+    vertices, _ = extract(fuse(front, SETTINGS), 200)
+    measured = measured_by(vertices, front, 0.003)
+    assert (measured.unit >= 0).mean() > 0.95
+    left = vertices[:, 0] < -0.01
+    assert (measured.unit[left] == 0).all()
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
+    truth = truth_of(vertices, scene_of(ball))
+    foot = np.einsum("vk,vkj->vj", truth.barycentric, ball.vertices[ball.faces[truth.face]])
+    distance = np.linalg.norm(vertices - foot, axis=1)
+    assert np.abs(truth.error_m) == pytest.approx(distance, abs=1e-7)
+    beyond = np.linalg.norm(vertices, axis=1) > np.linalg.norm(foot, axis=1)
+    clear = distance > 1e-6
+    assert ((truth.error_m > 0) == beyond)[clear].all()
+
+
+def test_properties_same_grids_same_bytes(front: list[Any]) -> None:
+    a, b = (fuse(front, SETTINGS) for _ in range(2))
+    assert a.distance_m.tobytes() == b.distance_m.tobytes()
+    assert all(n % BRICK == 0 for n in a.distance_m.shape)
+
+
+def test_edge_empty(front: list[Any]) -> None:
+    with pytest.raises(ScanError, match="no unit measured"):
+        fuse(ring_of_grids(Sphere(1e-5), [0], [0]), SETTINGS)
+    with pytest.raises(ScanError, match="larger voxel"):
+        fuse(front, FusionSettings(voxel_m=2e-5))
+    with pytest.raises(ScanError, match="do not form a surface"):
+        extract(Field(np.zeros(3), 0.001, np.full((8, 8, 8), np.nan, np.float32)), 1)
+    with pytest.raises(ScanError, match="no piece"):
+        extract(fuse(front, SETTINGS), 10**6)
+
+
+def test_properties_small_gaps_are_bridged_and_wide_ones_stay() -> None:
+    ramp = np.add.outer(np.arange(20.0), 2 * np.arange(20.0)).astype(np.float32)
+    holed = ramp.copy()
+    holed[5, 5] = np.nan
+    holed[10:16, 10:16] = np.nan
+    filled = bridged(holed, 2)
+    assert filled[5, 5] == pytest.approx(ramp[5, 5], abs=1e-4)
+    assert np.isnan(filled[12:14, 12:14]).all()
