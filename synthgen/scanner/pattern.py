@@ -112,12 +112,15 @@ def pyramid(image: Image) -> list[NDArray[np.uint8]]:
     with the averaging over s texels blurs by s^2 / 4 (variance); the rest is blurred beforehand.
     """
     levels = [image]
+    # Whole blocks at every level, so that all levels keep their place on the slide.
+    room = -len(image) % 2 ** (LEVELS - 1)
+    image = np.pad(image, ((0, room), (0, room)), mode="edge")
     for k in range(1, LEVELS):
         scale = 2.0**k
         blurred = cv2.GaussianBlur(
             image, (0, 0), scale * np.sqrt(0.75), borderType=cv2.BORDER_REPLICATE
         )
-        n = max(int(np.ceil(len(image) / scale)), 2)
+        n = len(image) >> k
         small = cv2.resize(blurred, (n, n), interpolation=cv2.INTER_AREA)
         levels.append(np.asarray(small, dtype=np.float32))
     return [np.asarray(np.rint(255 * np.clip(level, 0, 1)), dtype=np.uint8) for level in levels]

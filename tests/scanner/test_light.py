@@ -54,6 +54,16 @@ def test_reference_ball_before_wall(vertex_cache: bool) -> None:
     assert np.median(np.abs(got - wanted)) < 1e-4
 
 
+@pytest.mark.parametrize("focus", [0.55, 0.45, 0.3])
+def test_reference_far_out_of_focus(focus: float) -> None:
+    """Every level of the slides' pyramids, down to the last and beyond."""
+    rig = mini()
+    blurred = replace(rig, projectors=tuple(replace(p, focus_m=focus) for p in rig.projectors))
+    got, wanted = compare(ball_before_wall(), blurred)
+    assert (wanted > 0.01).mean() > 0.5
+    assert (np.abs(got - wanted) > 2e-3).mean() < 0.004
+
+
 def test_reference_through_glass() -> None:
     scene = ScanScene((solid_from_mesh(ball(0.015, (0, 0, 0)), PLAIN),))
     got, wanted = compare(scene, from_below(mini()))
