@@ -42,6 +42,14 @@ def replace(path: Path, data: bytes) -> None:
     _sync_folder(path.parent)
 
 
+def put_in_place(part: Path, path: Path) -> None:
+    """Give a finished file its name: its bytes reach the disk first."""
+    with explained(part), open(part, "rb") as file:
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    _sync_folder(path.parent)
+
+
 def make_folder(path: Path) -> None:
     """Create a folder and its parents.
 
@@ -67,17 +75,17 @@ class Growing:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._temporary = path.with_name(f".{path.name}.tmp")
-        with _explained(path):
+        with explained(path):
             self._file = open(self._temporary, "wb")  # closed by finish or abandon
 
     def write(self, data: bytes) -> None:
         """Append."""
-        with _explained(self.path):
+        with explained(self.path):
             self._file.write(data)
 
     def finish(self) -> None:
         """Put the file in its place; readers see the old content or the new."""
-        with _explained(self.path), self._file:
+        with explained(self.path), self._file:
             self._file.flush()
             os.fsync(self._file.fileno())
         os.replace(self._temporary, self.path)
@@ -93,7 +101,7 @@ class Growing:
 def _write_beside(path: Path, data: bytes) -> Path:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with _explained(path), open(temporary, "wb") as file:
+        with explained(path), open(temporary, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -104,8 +112,8 @@ def _write_beside(path: Path, data: bytes) -> Path:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Turn an operating system's error into one that says what to do."""
+def explained(path: Path) -> Iterator[None]:
+    """Turn an operating system's error while writing ``path`` into one that says what to do."""
     try:
         yield
     except OSError as error:

@@ -160,7 +160,8 @@ def _histogram(name: str, values: list[Any]) -> str:
     known = [v for v in values if v is not None]
     if not known:
         raise CorpusError(f"the table's column {name} is empty")
-    if isinstance(known[0], str):
+    if isinstance(known[0], str) or len(set(known)) == 1:
+        known = [_short(value) for value in known]
         labels = sorted(set(known))
         counts = [known.count(label) for label in labels]
     else:

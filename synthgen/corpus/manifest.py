@@ -12,20 +12,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from synthgen import __version__
+from synthgen.config import Config
 from synthgen.corpus import atomic, shards
 from synthgen.corpus.shards import Entry
 from synthgen.errors import IntegrityError
+from synthgen.models import load
 
 MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
 
-def engine(variant: str) -> dict[str, Any]:
-    """Return what decides the bytes besides the config: back end and library versions."""
+def engine(config: Config) -> dict[str, Any]:
+    """Return what decides the bytes besides the config: model, back end, library versions."""
     from synthgen.render import backend
 
-    chosen = backend.resolve(variant)
+    chosen = backend.resolve(config.render.variant)
     library = backend.find_llvm() if chosen.startswith("llvm") else None
     return {
+        "model_digest": load(config.model.name, hand="right").digest,
         "variant": chosen,
         "llvm": backend.llvm_version(str(library)) if library else None,
         "versions": {"synthgen": __version__, **backend.versions()},
@@ -35,18 +38,24 @@ def engine(variant: str) -> dict[str, Any]:
 def write_manifest(corpus: Path) -> None:
     """Scan the committed shards and write ``MANIFEST.json``, ``samples.parquet`` and the card."""
     made = json.loads((corpus / "engine.json").read_bytes())
-    done = [(k, shards.read_sidecar(corpus, k)) for k in shards.done_shards(corpus)]
-    rows = [row for k, sidecar in done for row in _rows(corpus, k, sidecar)]
+    parts, tables = [], []
+    for k in shards.done_shards(corpus):
+        sidecar = shards.read_sidecar(corpus, k)
+        parts.append(_summary(k, sidecar))
+        tables.append(pa.Table.from_pylist(_rows(corpus, k, sidecar)))
+    table = _joined(tables)
+    with open(corpus / "plan.jsonl", "rb") as plan:
+        digest = hashlib.file_digest(plan, "sha256").hexdigest()
     manifest = {
         "format": "synthgen/1",
         **made,
-        "samples": sum(len(sidecar["samples"]) for _, sidecar in done),
-        "views": len(rows),
-        "shards": [_summary(k, sidecar) for k, sidecar in done],
-        "plan_sha256": hashlib.sha256((corpus / "plan.jsonl").read_bytes()).hexdigest(),
+        "samples": sum(len(part["samples"]) for part in parts),
+        "views": table.num_rows,
+        "shards": parts,
+        "plan_sha256": digest,
     }
-    atomic.replace(corpus / TABLE, _parquet(rows))
-    atomic.replace(corpus / CARD, _card(manifest, rows).encode())
+    atomic.replace(corpus / TABLE, _parquet(table))
+    atomic.replace(corpus / CARD, _card(manifest, table).encode())
     text = json.dumps(manifest, sort_keys=True, indent=1)
     atomic.replace(corpus / MANIFEST, text.encode())
 
@@ -63,8 +72,8 @@ def _summary(shard: int, sidecar: dict[str, Any]) -> dict[str, Any]:
 
 def _rows(corpus: Path, shard: int, sidecar: dict[str, Any]) -> list[dict[str, Any]]:
     rows = []
-    for name, (offset, size) in sorted(sidecar["columns"]["meta"]["members"].items()):
-        data = shards.read_member(corpus, "meta", shard, Entry(offset, size))
+    for name, place in sorted(sidecar["columns"]["meta"]["members"].items()):
+        data = shards.read_member(corpus, "meta", shard, name, Entry(*place))
         try:
             meta = json.loads(data)
         except ValueError as error:
@@ -90,16 +99,20 @@ def _row(shard: int, meta: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _parquet(rows: list[dict[str, Any]]) -> bytes:
-    names = sorted({name for row in rows for name in row})
-    table = pa.table({name: [row.get(name) for row in rows] for name in names})
+def _joined(tables: list[pa.Table]) -> pa.Table:
+    """Stack the shards' tables, columns by name; a column that one lacks is null there."""
+    whole = pa.concat_tables(tables, promote_options="permissive") if tables else pa.table({})
+    return whole.select(sorted(whole.column_names)).combine_chunks()
+
+
+def _parquet(table: pa.Table) -> bytes:
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue()
 
 
-def _card(manifest: dict[str, Any], rows: list[dict[str, Any]]) -> str:
-    left = sum(row.get("hand") == "left" for row in rows)
+def _card(manifest: dict[str, Any], table: pa.Table) -> str:
+    sides = table["hand"].to_pylist() if "hand" in table.column_names else []
     return f"""---
 license: cc0-1.0
 task_categories: [keypoint-detection, depth-estimation]
@@ -108,8 +121,9 @@ tags: [synthetic, hands]
 # A corpus of synthetic hands
 
 Made by synthgen {manifest["versions"]["synthgen"]}; {manifest["samples"]} samples,
-{len(rows)} views, {left} of them left hands. Config hash `{manifest["config_hash"]}`, variant
-`{manifest["variant"]}`. With the same config, seed and versions every byte comes out again.
+{table.num_rows} views, {sides.count("left")} of them left hands.
+Config hash `{manifest["config_hash"]}`, variant `{manifest["variant"]}`.
+With the same config, seed and versions every byte comes out again.
 
 Columns are tars of equal keys (`image`, `depth`, `labels`, `meta`, where asked `exr`). Units:
 metres, radians. Camera: OpenCV axes, integer pixel centres. Pose: axis-angle, mean included;

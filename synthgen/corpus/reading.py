@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +25,13 @@ class Corpus:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.manifest = _read_manifest(path)
-        self._sidecars = {
-            entry["shard"]: shards.read_sidecar(path, entry["shard"])
-            for entry in self.manifest["shards"]
-        }
-        self._shard_of = {
-            index: shard
-            for shard, sidecar in self._sidecars.items()
-            for index in sidecar["samples"]
-        }
+        self._shard_of: dict[int, int] = {}
+        for entry in self.manifest["shards"]:
+            shards.check_sizes(path, entry["shard"], entry["columns"])
+            self._shard_of.update(dict.fromkeys(entry["samples"], entry["shard"]))
         self._indices = sorted(self._shard_of)
+        # Indices of members are large: those of the shards read last are kept.
+        self._sidecar = lru_cache(maxsize=8)(partial(shards.read_sidecar, path))
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -45,7 +42,7 @@ class Corpus:
         except IndexError:
             raise IndexError(f"sample {position} of a corpus of {len(self)}") from None
         shard = self._shard_of[index]
-        members = self._sidecars[shard]["columns"]["meta"]["members"]
+        members = self._sidecar(shard)["columns"]["meta"]["members"]
         views: list[View] = []
         while (name := f"{key_of(index, len(views))}.json") in members:
             views.append(self._view(shard, name))
@@ -59,8 +56,8 @@ class Corpus:
 
     def _view(self, shard: int, name: str) -> View:
         def fetch(column: str, member: str) -> bytes:
-            offset, size = self._sidecars[shard]["columns"][column]["members"][member]
-            return shards.read_member(self.path, column, shard, Entry(offset, size))
+            place = self._sidecar(shard)["columns"][column]["members"][member]
+            return shards.read_member(self.path, column, shard, member, Entry(*place))
 
         try:
             meta: dict[str, Any] = json.loads(fetch("meta", name))
@@ -76,7 +73,7 @@ class Corpus:
     @property
     def shard_numbers(self) -> list[int]:
         """Numbers of the shards."""
-        return sorted(self._sidecars)
+        return sorted({entry["shard"] for entry in self.manifest["shards"]})
 
 
 def open_corpus(path: str | Path) -> Corpus:

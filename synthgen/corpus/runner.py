@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,14 +23,14 @@ from synthgen.config import Config
 from synthgen.corpus import atomic, shards
 from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.manifest import write_manifest
-from synthgen.corpus.plan import read_plan, write_plan
+from synthgen.corpus.plan import CLAIMS, read_plan, write_plan
+from synthgen.corpus.threads import single_threaded_children
 from synthgen.errors import CorpusError, WorkLeft
 from synthgen.render.renderer import RenderedView
 from synthgen.sampling.spec import SampleSpec
 
 MAX_ATTEMPTS = 10
 MAX_DEATHS = 3
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 # Makes one attempt at a sample: why it must be drawn again, or None and its views.
 Attempt = Callable[[SampleSpec], tuple[str | None, list[RenderedView]]]
 Maker = Callable[[Config], Attempt]
@@ -97,7 +96,7 @@ def generate(
         raise CorpusError(f"workers={workers}; at least 1")
     begun = time.monotonic()
     try:
-        write_plan(config, out, progress=progress)
+        write_plan(config, out, workers=workers, progress=progress)
         todo = _todo(config, out, shards_range)
         present = len(shards.done_shards(out))
         with _bar(progress, config, todo) as advance:
@@ -113,21 +112,25 @@ def generate(
 
 def _summary(config: Config, out: Path, present: int, seconds: float) -> Summary:
     done = shards.done_shards(out)
-    sidecars = [shards.read_sidecar(out, k) for k in done]
+    samples = redrawn = size = 0
+    for sidecar in (shards.read_sidecar(out, k) for k in done):
+        samples += len(sidecar["samples"])
+        redrawn += len(sidecar["redrawn"])
+        size += sum(facts["bytes"] for facts in sidecar["columns"].values())
     return Summary(
         out=str(out),
-        samples=sum(len(s["samples"]) for s in sidecars),
+        samples=samples,
         shards_made=len(done) - present,
         shards_present=present,
-        redrawn=sum(len(s["redrawn"]) for s in sidecars),
-        bytes=sum(f["bytes"] for s in sidecars for f in s["columns"].values()),
+        redrawn=redrawn,
+        bytes=size,
         seconds=round(seconds, 3),
     )
 
 
 def _todo(config: Config, out: Path, wanted: tuple[int, int] | None) -> list[int]:
     """Shards to make; a last one that was cut short by fewer samples is made again."""
-    for folder in (shards.SIDECARS, "claims", *config.corpus.columns):
+    for folder in (shards.SIDECARS, CLAIMS, *config.corpus.columns):
         atomic.make_folder(out / folder)
     size, total = config.corpus.shard_size, -(-config.samples // config.corpus.shard_size)
     for k in shards.done_shards(out):
@@ -166,7 +169,7 @@ def make_shard(
     config: Config, out: Path, shard: int, attempt: Attempt, advance: Callable[[int], None]
 ) -> None:
     """Make and commit one shard, unless another process holds or has made it."""
-    with open(out / "claims" / f"{shard:06d}", "w") as claim:
+    with open(out / CLAIMS / f"{shard:06d}", "w") as claim:
         try:
             fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -222,7 +225,7 @@ def _supervise(
     """Run workers until every shard is committed; replace those that die."""
     context = multiprocessing.get_context("spawn")
     results: Any = context.Queue()
-    with _single_threads():
+    with single_threaded_children():
         running = [_start(context, config, out, todo, w, workers, maker, results)
                    for w in range(min(workers, max(len(todo), 1)))]  # fmt: skip
         deaths = 0
@@ -287,18 +290,3 @@ def _drain(results: Any, advance: Callable[[int], None]) -> str | None:
     if message:
         results.put(message)
     return message
-
-
-@contextmanager
-def _single_threads() -> Iterator[None]:
-    """Let child processes start with one thread per pool."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

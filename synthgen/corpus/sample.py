@@ -48,10 +48,14 @@ class HandView:
 
 
 class Subject:
-    """The truth of one hand, world frame, metres; vertices are recomputed from parameters."""
+    """The truth of one hand, world frame, metres; vertices are recomputed from parameters.
 
-    def __init__(self, subject: HandSubject) -> None:
+    ``digest`` is that of the model the sample was made with; another one is refused.
+    """
+
+    def __init__(self, subject: HandSubject, digest: str) -> None:
         self._subject = subject
+        self._digest = digest
         self.model = subject.model
         self.hand = subject.hand
         self.shape = np.array(subject.shape)
@@ -65,8 +69,21 @@ class Subject:
 
     @cached_property
     def loaded(self) -> ManoModel:
-        """The model, on the right side."""
-        return load(self.model, hand=self._subject.hand)
+        """The model, on the right side.
+
+        Raises
+        ------
+        CorpusError
+            If the model found under this name is not the one the sample was made with.
+        """
+        model = load(self.model, hand=self._subject.hand)
+        if model.digest != self._digest:
+            raise CorpusError(
+                f"the model {self.model!r} found here has digest {model.digest[:12]}, the sample "
+                f"was made with {self._digest[:12]}: its vertices would be wrong. Restore that "
+                "model's file"
+            )
+        return model
 
     @cached_property
     def _posed(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -250,7 +267,9 @@ class Sample:
     @cached_property
     def subjects(self) -> list[Subject]:
         """The truth of every hand."""
-        return [Subject(subject) for subject in self.spec.scene.subjects]
+        made_with = [hand["model_digest"] for hand in self.views[0].meta["hands"]]
+        subjects = self.spec.scene.subjects
+        return [Subject(s, digest) for s, digest in zip(subjects, made_with, strict=True)]
 
     @property
     def truth(self) -> Subject:

@@ -1,6 +1,7 @@
 """Shards: a run of samples as one tar per column, and the sidecar that makes it count.
 
-A shard is done if and only if its sidecar exists; it is committed last, after every tar.
+A shard is done if and only if its sidecar exists; it is committed last, after every tar. The
+sidecar has a checksum of every tar, and of every member, so that a damaged one is never decoded.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import hashlib
 import json
 import os
 import tarfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +24,11 @@ SIDECARS = "shards"
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a member lies in its column's tar: offset and length of its bytes."""
+    """Where a member lies in its column's tar: offset, length and CRC-32 of its bytes."""
 
     offset: int
     size: int
+    crc32: int
 
 
 def tar_path(corpus: Path, column: str, shard: int) -> Path:
@@ -89,7 +92,7 @@ class _Tar:
         info = tarfile.TarInfo(name)
         info.size, info.mtime, info.mode = len(data), 0, 0o644
         self._write(info.tobuf(tarfile.USTAR_FORMAT))
-        self._members[name] = [self._size, len(data)]
+        self._members[name] = [self._size, len(data), zlib.crc32(data)]
         self._write(data + bytes(-len(data) % tarfile.BLOCKSIZE))
 
     def finish(self) -> dict[str, Any]:
@@ -113,16 +116,27 @@ def read_sidecar(corpus: Path, shard: int) -> dict[str, Any]:
         columns = sidecar["columns"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise IntegrityError(f"{path}: unreadable sidecar ({error})") from None
+    check_sizes(corpus, shard, columns)
+    return sidecar
+
+
+def check_sizes(corpus: Path, shard: int, columns: dict[str, Any]) -> None:
+    """Check that every tar of a shard is there with as many bytes as recorded.
+
+    Raises
+    ------
+    IntegrityError
+        Naming the tar.
+    """
+    again = f"delete {sidecar_path(corpus, shard)} and run generate again"
     for column, facts in columns.items():
         tar = tar_path(corpus, column, shard)
         if not tar.is_file():
-            raise IntegrityError(f"{tar} is missing; delete {path} and run generate again")
+            raise IntegrityError(f"{tar} is missing; {again}")
         if tar.stat().st_size != facts["bytes"]:
             raise IntegrityError(
-                f"{tar} has {tar.stat().st_size} bytes, its sidecar says {facts['bytes']}; "
-                f"delete {path} and run generate again"
+                f"{tar} has {tar.stat().st_size} bytes, {facts['bytes']} are recorded; {again}"
             )
-    return sidecar
 
 
 def check_hashes(corpus: Path, shard: int) -> None:
@@ -135,12 +149,20 @@ def check_hashes(corpus: Path, shard: int) -> None:
     """
     for column, facts in read_sidecar(corpus, shard)["columns"].items():
         tar = tar_path(corpus, column, shard)
-        if hashlib.sha256(tar.read_bytes()).hexdigest() != facts["sha256"]:
+        with open(tar, "rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+        if found != facts["sha256"]:
             raise IntegrityError(f"{tar}: its bytes differ from the checksum in its sidecar")
 
 
-def read_member(corpus: Path, column: str, shard: int, entry: Entry) -> bytes:
-    """Read one member by its place, without scanning the tar."""
+def read_member(corpus: Path, column: str, shard: int, name: str, entry: Entry) -> bytes:
+    """Read one member by its place, without scanning the tar, and check its bytes.
+
+    Raises
+    ------
+    IntegrityError
+        Naming the tar and the member whose bytes changed.
+    """
     path = tar_path(corpus, column, shard)
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -149,6 +171,11 @@ def read_member(corpus: Path, column: str, shard: int, entry: Entry) -> bytes:
         os.close(handle)
     if len(data) != entry.size:
         raise IntegrityError(f"{path} ends before byte {entry.offset + entry.size}")
+    if zlib.crc32(data) != entry.crc32:
+        raise IntegrityError(
+            f"{path}: the bytes of {name} differ from their checksum; delete "
+            f"{sidecar_path(corpus, shard)} and run generate again to make the shard anew"
+        )
     return data
 
 

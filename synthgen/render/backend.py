@@ -126,8 +126,11 @@ def report() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return versions of the libraries that decide the bytes of a render."""
-    names = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless")
+    """Return versions of the libraries that decide the bytes of a plan or a render."""
+    names = (
+        "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-learn", "libigl",
+        "numba",
+    )  # fmt: skip
     found = {}
     for name in names:
         try:

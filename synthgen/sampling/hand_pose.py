@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from synthgen.errors import SamplingError
 from synthgen.models import ManoModel
@@ -92,7 +93,8 @@ def _fit(model: ManoModel, components: int, dimensions: int) -> HandPosePrior:
     assert model.hands_components is not None
     table = np.asarray(model.hands_coeffs[:, :dimensions], dtype=np.float64)
     mixture = GaussianMixture(components, reg_covar=1e-3, random_state=0, max_iter=200)
-    with warnings.catch_warnings():
+    # One thread: sums in another order would give other poses on other machines.
+    with warnings.catch_warnings(), threadpool_limits(limits=1):
         warnings.simplefilter("ignore", ConvergenceWarning)
         mixture.fit(table)
     return HandPosePrior(

@@ -11,7 +11,7 @@ import fake
 import pytest
 
 from synthgen.config import Config, load_config
-from synthgen.corpus import atomic, open_corpus, shards
+from synthgen.corpus import Sample, atomic, open_corpus, shards
 from synthgen.corpus.runner import Maker, generate
 from synthgen.errors import CorpusError, IntegrityError, WorkLeft
 
@@ -30,6 +30,12 @@ def same(a: Path, b: Path) -> bool:
     files = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(b) for p in b.rglob("*") if p.is_file())
     return all(filecmp.cmp(a / f, b / f, shallow=False) for f in files)
+
+
+def read_everything(sample: Sample) -> None:
+    for view in sample.views:
+        for name in ("image", "depth_z_m", "part_id", "instance_id", "normals", "face_id", "uv"):
+            getattr(view, name)
 
 
 def test_smoke_folder(tmp_path: Path) -> None:
@@ -113,6 +119,27 @@ def test_edge_another_config_is_refused(tmp_path: Path) -> None:
         make(tmp_path)
 
 
+def test_edge_another_model_under_the_same_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model file that changed is refused on resume, and on recomputing vertices."""
+    import numpy as np
+
+    from synthgen.models.files import DATA
+
+    mine = tmp_path / "mine.npz"
+    mine.write_bytes((DATA / "cc0-hand.npz").read_bytes())
+    out = make(tmp_path / "c", f"model.name={mine}")
+    assert open_corpus(out)[0].truth.vertices.shape == (1609, 3)
+    with np.load(mine) as content:
+        arrays = dict(content)
+    np.savez(mine, **{**arrays, "v_template": arrays["v_template"] * np.float32(1.01)})
+    with pytest.raises(CorpusError, match=r"model_digest was"):
+        make(out, f"model.name={mine}", "samples=9")
+    with pytest.raises(CorpusError, match="its vertices would be wrong"):
+        _ = open_corpus(out)[0].truth.vertices
+
+
 def test_edge_another_engine_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = make(tmp_path / "c")
     from synthgen.corpus import plan
@@ -155,10 +182,12 @@ def test_edge_a_flipped_or_missing_byte_is_named(tmp_path: Path, column: str) ->
     out = make(tmp_path / "c")
     tar = out / column / "000001.tar"
     data = bytearray(tar.read_bytes())
-    data[700] ^= 1
+    data[520] ^= 1  # within the first member
     tar.write_bytes(bytes(data))
     with pytest.raises(IntegrityError, match=rf"{column}/000001\.tar"):
         shards.check_hashes(out, 1)
+    with pytest.raises(IntegrityError, match=rf"{column}/000001\.tar: the bytes of 000000003_00"):
+        read_everything(open_corpus(out)[3])
     tar.write_bytes(bytes(data[:-512]))
     with pytest.raises(IntegrityError, match=rf"{column}/000001\.tar has"):
         open_corpus(out)

@@ -80,7 +80,6 @@ def test_reference_slanted_plane(renderer: Renderer, near_clip: float) -> None:
     first = replace(scene, background=wall)
     tilted = first.cameras[0].T.copy()
     tilted[:3, :3] = tilted[:3, :3] @ look_at(np.zeros(3), np.array([0.3, -0.2, 1.0]))[:3, :3]
-    tilted[:3, :3] = tilted[:3, :3] @ np.diag([1.0, 1.0, 1.0])
     camera = replace(first.cameras[0], T_world_from_camera=tuple(map(tuple, tilted.tolist())))
     live, _ = renderer._upload(replace(spec(), scene=first))
     live._params["sensor.near_clip"] = near_clip

@@ -52,8 +52,9 @@ def test_reference_chirality_of_a_plain_curled_hand() -> None:
         for k in range(4):
             p[4 * finger + 1 + k] = base + [0, -0.01 * k, 0.02 * k]
     p[1:5] = [[-0.03, -0.02, 0], [-0.04, -0.04, 0.01], [-0.045, -0.05, 0.02], [-0.05, -0.06, 0.03]]
-    assert chirality(p, "right") < 0 < chirality(p, "left") + 2.0
-    assert chirality(p, "left") > chirality(p, "right")
+    mirrored = p * [-1.0, 1.0, 1.0]
+    assert chirality(p, "right") < 0 < chirality(p, "left")
+    assert chirality(mirrored, "left") < 0 < chirality(mirrored, "right")
 
 
 def test_edge_nan_fails_a_measurement() -> None:

@@ -1,0 +1,80 @@
+"""The plan: rows of any worker are the same, an interrupted one goes on, single rows are found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from synthgen.config import Config, load_config
+from synthgen.corpus import plan
+from synthgen.corpus.plan import PART, PLAN, count_rows, read_plan, write_plan
+from synthgen.errors import CorpusError
+from synthgen.sampling.draw import draw_sample
+from synthgen.sampling.spec import SampleSpec
+
+
+def config(samples: int) -> Config:
+    return load_config("fixtures", [f"samples={samples}"])
+
+
+def test_smoke_rows_are_the_drawn_samples(tmp_path: Path) -> None:
+    write_plan(config(5), tmp_path / "c", progress=False)
+    assert count_rows(tmp_path / "c") == 5
+    assert read_plan(tmp_path / "c") == [draw_sample(config(5), k) for k in range(5)]
+    assert read_plan(tmp_path / "c", 3, 99) == [draw_sample(config(5), k) for k in (3, 4)]
+    assert read_plan(tmp_path / "c", 5) == []
+
+
+def test_properties_same_rows_with_two_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan, "WORTH_WORKERS", 1)
+    monkeypatch.setattr(plan, "CHUNK", 2)
+    write_plan(config(7), tmp_path / "one", progress=False)
+    write_plan(config(7), tmp_path / "two", workers=2, progress=False)
+    assert (tmp_path / "one" / PLAN).read_bytes() == (tmp_path / "two" / PLAN).read_bytes()
+
+
+def test_properties_an_interrupted_plan_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows that were drawn are kept, a torn last one is drawn again, none is drawn twice."""
+    drawn: list[int] = []
+
+    def interrupted(given: Config, index: int) -> SampleSpec:
+        drawn.append(index)
+        if drawn.count(4) == 1 and index == 4:
+            raise KeyboardInterrupt
+        return draw_sample(given, index)
+
+    monkeypatch.setattr(plan, "draw_sample", interrupted)
+    out = tmp_path / "cut"
+    with pytest.raises(KeyboardInterrupt):
+        write_plan(config(6), out, progress=False)
+    assert not (out / PLAN).exists()
+    with open(out / PART, "ab") as part:
+        part.write(b'{"index": 4, "torn')
+    write_plan(config(6), out, progress=False)
+    assert drawn == [0, 1, 2, 3, 4, 4, 5]
+    write_plan(config(6), tmp_path / "whole", progress=False)
+    assert (out / PLAN).read_bytes() == (tmp_path / "whole" / PLAN).read_bytes()
+    assert not (out / PART).exists()
+
+
+def test_properties_a_longer_plan_keeps_its_rows(tmp_path: Path) -> None:
+    write_plan(config(3), tmp_path / "c", progress=False)
+    before = (tmp_path / "c" / PLAN).read_bytes()
+    write_plan(config(5), tmp_path / "c", progress=False)
+    after = (tmp_path / "c" / PLAN).read_bytes()
+    assert after.startswith(before)
+    assert [json.loads(row)["index"] for row in after.splitlines()] == list(range(5))
+
+
+def test_edge_missing_and_damaged(tmp_path: Path) -> None:
+    with pytest.raises(CorpusError, match="is missing"):
+        read_plan(tmp_path)
+    (tmp_path / PLAN).write_text('{"index": 0}\n')
+    with pytest.raises(CorpusError, match="row 0 is damaged"):
+        read_plan(tmp_path)
