@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from synthgen.geometry.rotations import matrix_from_axis_angle
-from synthgen.models.joints import MANO16_PARENTS
 from synthgen.models.chain import chain, skinning_transforms
+from synthgen.models.joints import MANO16_PARENTS
 
 Array = NDArray[np.float64]
 _PARENTS = np.array(MANO16_PARENTS)

@@ -34,7 +34,7 @@ class Bank:
     keypoints: Single
 
     def batch(self, ids: NDArray[np.int64], *, rng: np.random.Generator) -> tuple[Single, Single]:
-        """Inputs (B, 128, 6) and keypoints (B, 21, 3) in random orientation, centred.
+        """Return inputs (B, 128, 6) and keypoints (B, 21, 3) in random orientation, centred.
 
         One to three views, two holes, noise, outliers.
         """
@@ -60,11 +60,11 @@ class Bank:
         p += rng.normal(0, 6e-4 / SCALE_M, p.shape)
         wild = rng.random(p.shape[:2]) < 0.008
         p[wild] += rng.normal(0, 0.04 / SCALE_M, (int(wild.sum()), 3))
-        n = unit((n + rng.normal(0, 0.15, n.shape)).astype(np.float64))
+        facing = unit((n + rng.normal(0, 0.15, n.shape)).astype(np.float64))
         turn = random_rotations(b, rng=rng)
         centre = p.mean(axis=1, keepdims=True)
         inputs = np.concatenate([(p - centre) @ turn.transpose(0, 2, 1),
-                                 n @ turn.transpose(0, 2, 1)], axis=2)  # fmt: skip
+                                 facing @ turn.transpose(0, 2, 1)], axis=2)  # fmt: skip
         keypoints = (self.keypoints[ids] - centre) @ turn.transpose(0, 2, 1)
         return inputs.astype(np.float32), keypoints.astype(np.float32)
 

@@ -156,11 +156,11 @@ def step(
 def _moved(starts: Starts, move: NDArray[np.float64]) -> Starts:
     turn, other = np.abs(move[:, 3:6]).max(axis=1), np.abs(move[:, 6:]).max(axis=1)
     scale = np.minimum(MAX_TURN_RAD / np.maximum(turn, 1e-9), MAX_SD / np.maximum(other, 1e-9))
-    move = (move * np.minimum(scale, 1)[:, None]).astype(np.float32)
-    rotation = matrix_from_axis_angle(move[:, 3:6]).astype(np.float32) @ starts.rotation
-    coefficients = starts.coefficients + move[:, 6 : 6 + COMPONENTS]
-    shape = starts.shape + move[:, 6 + COMPONENTS :]
-    return Starts(rotation, starts.translation + move[:, :3],
+    small: Single = (move * np.minimum(scale, 1)[:, None]).astype(np.float32)
+    rotation = matrix_from_axis_angle(small[:, 3:6]).astype(np.float32) @ starts.rotation
+    coefficients = starts.coefficients + small[:, 6 : 6 + COMPONENTS]
+    shape = starts.shape + small[:, 6 + COMPONENTS :]
+    return Starts(rotation, starts.translation + small[:, :3],
                   np.clip(coefficients, -CLIP_SD, CLIP_SD),
                   np.clip(shape, -CLIP_SHAPE, CLIP_SHAPE))  # fmt: skip
 

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from synthgen.geometry.normals import vertex_normals
@@ -131,7 +132,7 @@ class CoarseModel:
         return PlacedBatch(vertices, normals, rest, frames, joints, shift, blend, left)
 
     def jacobian(self, placed: PlacedBatch) -> Single:
-        """Derivatives (S, V, 3, n): translation, left rotation, coefficients, shape."""
+        """Return derivatives (S, V, 3, n): translation, left rotation, coefficients, shape."""
         s, v, k = *placed.vertices.shape[:2], len(self.parents)
         moment = self._moments(placed)
         out = np.zeros((s, v, 3, self.n), np.float32)
@@ -142,19 +143,14 @@ class CoarseModel:
         out[..., 2, 3], out[..., 2, 4] = root[..., 1], -root[..., 0]
         axes = placed.frames[:, self.parents[1:]] @ placed.left
         turned = np.empty((s, v, 3, k - 1, 3), np.float32)
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            turned[:, :, a] = (
-                axes[:, None, :, b] * moment[:, :, 1:, c, None]
-                - axes[:, None, :, c] * moment[:, :, 1:, b, None]
-            )
+        _turn_columns(np.ascontiguousarray(axes), moment, turned)
         fingers = turned.reshape(-1, 3 * (k - 1)) @ self.basis.T
         out[..., 6 : 6 + COMPONENTS] = fingers.reshape(s, v, 3, COMPONENTS)
         out[..., 6 + COMPONENTS :] = self._shape_columns(placed)
         return out
 
     def _moments(self, placed: PlacedBatch) -> Single:
-        """What each joint's descendants carry of each vertex, about the joint: (S, V, K, 3)."""
+        """Sum what each joint's descendants carry of each vertex, about the joint: (S, V, K, 3)."""
         s, v, k = *placed.vertices.shape[:2], len(self.parents)
         flat = placed.frames.reshape(s, 3 * k, 3).transpose(0, 2, 1)
         moment = (placed.rest @ flat).reshape(s, v, k, 3)
@@ -192,14 +188,32 @@ class CoarseModel:
         offset = (x[:, s.fingers] - self.prior.mean) @ self.prior.components[:COMPONENTS].T
         coefficients = np.clip(offset / self.prior.sd[:COMPONENTS], -5, 5)
         rotation = matrix_from_axis_angle(x[:, s.root])
-        return Starts(*(a.astype(np.float32)
-                        for a in (rotation, x[:, s.translation], coefficients, x[:, s.shape])))
+        return Starts(
+            *(
+                a.astype(np.float32)
+                for a in (rotation, x[:, s.translation], coefficients, x[:, s.shape])
+            )
+        )
 
 
 @lru_cache(maxsize=4)
 def coarse_model_of(model: BodyModel, prior: HandPrior) -> CoarseModel:
     """Return the thinned hand of a model, made once per process."""
     return CoarseModel(surface_of(model), prior)
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _turn_columns(axes: Any, moment: Any, out: Any) -> None:
+    """Cross products axis x moment: axes (S, J, 3, 3), moment (S, V, J + 1, 3)."""
+    for s in range(out.shape[0]):
+        for v in range(out.shape[1]):
+            for j in range(out.shape[3]):
+                x, y, z = moment[s, v, j + 1, 0], moment[s, v, j + 1, 1], moment[s, v, j + 1, 2]
+                for c in range(3):
+                    ax, ay, az = axes[s, j, 0, c], axes[s, j, 1, c], axes[s, j, 2, c]
+                    out[s, v, 0, j, c] = ay * z - az * y
+                    out[s, v, 1, j, c] = az * x - ax * z
+                    out[s, v, 2, j, c] = ax * y - ay * x
 
 
 def spread(points: Array, count: int) -> NDArray[np.int64]:

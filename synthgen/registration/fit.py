@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
 from synthgen.registration.coarse_model import coarse_model_of
+from synthgen.registration.coupled import couple
 from synthgen.registration.initialiser import initialiser_of
 from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
@@ -24,7 +25,7 @@ from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
-from synthgen.registration.verdict import Judgement, Verdict, judge
+from synthgen.registration.verdict import Judgement, Verdict
 from synthgen.sampling.limits import limits_of
 
 Array = NDArray[np.float64]
@@ -53,6 +54,10 @@ class Fit:
         JSON types: statistics, stages, times, candidates.
     model : BodyModel
         The side that the parameters belong to.
+    vertex_sd_m : (V,)
+        Predicted standard deviation of each vertex; empty where nothing was finished.
+    free_vertices : (V, 3) or None
+        The mesh of the coupled stage, where asked for and the fit was not a fail.
     """
 
     shape: Array
@@ -67,6 +72,7 @@ class Fit:
     model: BodyModel
     expression: None = None
     vertex_sd_m: Array = field(default_factory=lambda: np.zeros(0))
+    free_vertices: Array | None = None
 
 
 def fit(
@@ -77,6 +83,7 @@ def fit(
     hand: str | None = None,
     *,
     preset: str = "fast",
+    coupled: bool = False,
     viewpoints: Any = None,
     components: int | None = None,
     keypoints: tuple[Any, Any] | None = None,
@@ -100,6 +107,8 @@ def fit(
         Auto and None: decided by fitting the scan and its mirror image. A wrong side given is a
         fail ``other_hand``.
     preset : "fast", "accurate" or "paper"
+    coupled : bool
+        Also free the mesh from the model (``free_vertices``), for detail that the model lacks.
     viewpoints : (C, 3) float or None
         Where the sensors stood; orients estimated normals.
     components : int or None
@@ -121,7 +130,7 @@ def fit(
     ShapeError, ModelError
         If arguments do not belong together (not for bad scans).
     """
-    request = _Request(_right(model), preset, components, keypoints, pose_prior, seed)
+    request = _Request(_right(model), preset, coupled, components, keypoints, pose_prior, seed)
     sides = _sides(hand)
     own, given, dropped = checked_points(points, normals)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -141,13 +150,14 @@ class _Request:
 
     model: ManoModel
     preset: str
+    coupled: bool
     components: int | None
     keypoints: tuple[Any, Any] | None
     pose_prior: tuple[Any, float] | None
     seed: int
 
     def settings(self, side: Side) -> Settings:
-        """What one side's search works with; side "left" sees the mirrored scan."""
+        """Return what one side's search works with; side "left" sees the mirrored scan."""
         surface = surface_of(self.model)
         net = initialiser_of(self.model)
         prior = learned_prior(self.model) if net is None else net.prior
@@ -273,7 +283,7 @@ def _mirrored(settings: Settings, x: Array) -> Array:
 
 
 def _other_side(request: _Request, scan: Scan, side: Side, failed: Judgement) -> Judgement:
-    """A fit of the given side failed: see whether the other side fits."""
+    """See whether the other side fits, after the given one failed."""
     other: Side = "left" if side == "right" else "right"
     run = _Run(request, scan, other, None)
     return Judgement("fail", "other_hand") if run.search.run(run.vectors[:1]).accepted else failed
@@ -305,6 +315,7 @@ def _result(
     shape, pose, translation = surface.unpack(chosen.x)
     flip = np.ones(3)
     model: BodyModel = request.model
+    free = _freed(request, run, chosen) if judgement.verdict != "fail" else None
     if side == "left":
         model, pose, flip = mirror_model(request.model), mirror_pose(pose), _FLIP
     return Fit(
@@ -319,7 +330,19 @@ def _result(
         report=_report(request, run, judgement, chosen, dropped, time.process_time() - began),
         model=model,
         vertex_sd_m=np.zeros(0) if chosen.statistics is None else chosen.statistics.sd_m,
+        free_vertices=None if free is None else free * flip,
     )
+
+
+def _freed(request: _Request, run: _Run, chosen: Candidate) -> Array | None:
+    if not request.coupled or chosen.statistics is None:
+        return None
+    began = time.process_time()
+    settings, noise = run.settings, max(chosen.statistics.noise_m, 1e-4)
+    priors = settings.priors(1.0)
+    free = couple(settings.surface, run.scan, chosen.x, priors, noise).vertices
+    run.search.seconds["coupled"] = time.process_time() - began
+    return free
 
 
 def _report(
@@ -353,6 +376,3 @@ def _report(
 def fit_many(scans: Sequence[tuple[Any, Any]], model: BodyModel, **settings: Any) -> list[Fit]:
     """Fit several scans one after the other; arguments as :func:`fit`."""
     return [fit(points, normals, model, **settings) for points, normals in scans]
-
-
-__all__ = ["Fit", "Judgement", "fit", "fit_many", "judge"]

@@ -14,7 +14,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
 from synthgen.models import BodyModel
@@ -61,7 +60,7 @@ class Initialiser:
         return np.asarray(out.reshape(b, HYPOTHESES, -1), dtype=np.float32)
 
     def _layer(self, name: str, x: Single) -> Single:
-        return np.maximum(x @ self.weights[name] + self.biases[name], 0)
+        return np.asarray(np.maximum(x @ self.weights[name] + self.biases[name], 0), np.float32)
 
     def starts(self, points: Single, normals: Single, turns: Single, n_shape: int) -> Starts:
         """Hypotheses for a scan seen under several rotations ``turns`` (r, 3, 3): r K starts."""

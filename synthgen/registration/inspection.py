@@ -1,8 +1,9 @@
-"""Looking at a scan before fitting: is it one hand, in metres, with outward normals?"""
+"""Looking at a scan before fitting: it must be one hand, in metres, with outward normals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ SMALLEST_M, LARGEST_M = 0.055, 0.40
 # A bare hand; used to recognise units.
 USUAL_M = (0.075, 0.27)
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
-LINK_M = 0.012
+LINK_M = 0.015
 INWARD = -0.15
 
 
@@ -80,9 +81,10 @@ def _wrong_size(points: Array, size: float) -> Finding:
 
 def _pieces(points: Array) -> Finding | None:
     """Two hand-sized pieces are two hands, unless they are views of one with a gap."""
-    some = points[:6000]
+    some = points[:3000]
     tree = cKDTree(some)
-    spacing = np.quantile(tree.query(some, k=2)[0][:, 1], 0.9)
+    apart_m: Any = tree.query(some, k=2)[0]
+    spacing = np.quantile(apart_m[:, 1], 0.9)
     link = max(LINK_M, 4 * float(spacing))
     pairs = tree.query_pairs(link, output_type="ndarray")
     n = len(some)

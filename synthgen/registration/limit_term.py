@@ -60,7 +60,7 @@ class LimitPrior:
 
 
 def angle_slopes(limits: JointLimits, pose: Array) -> Array:
-    """Derivatives (16, 3, 3) of the anatomical angles by the axis-angle vectors (16, 3).
+    """Differentiate (16, 3, 3) the anatomical angles by the axis-angle vectors (16, 3).
 
     In a joint's frame R = Rx(a) Ry(b) Rz(c), whose angular velocity is
     ``[e_x, Rx e_y, Rx Ry e_z] (a', b', c')``.

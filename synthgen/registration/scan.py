@@ -62,6 +62,14 @@ class Scan:
         return replace(self, normals=-self.normals)
 
 
+def nearest(
+    tree: cKDTree, points: Array, within_m: float = np.inf
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return distance (inf where none is within) and number of the nearest point of each."""
+    found: Any = tree.query(points, distance_upper_bound=within_m)
+    return np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+
+
 def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]:
     """Return finite points, their normals, and how many points were dropped.
 
@@ -75,7 +83,7 @@ def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]
     p = np.asarray(points, dtype=np.float64)
     if p.ndim != 2 or p.shape[1] != 3:
         raise ShapeError(f"points have shape {p.shape}; expected (N, 3), metres")
-    good = np.isfinite(p).all(axis=1)
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=1))
     if normals is None:
         return p[good], None, int((~good).sum())
     n = np.asarray(normals, dtype=np.float64)
@@ -103,11 +111,12 @@ def estimate_normals(points: Array, viewpoints: Array | None = None) -> Array:
     spanning tree of neighbours (Hoppe 1992) and outward as a whole, since hands bulge.
     """
     k = min(NEIGHBOURS, len(points))
-    _, near = cKDTree(points).query(points, k=k)
+    found: Any = cKDTree(points).query(points, k=k)
+    near = np.asarray(found[1], dtype=np.int64)
     local = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.einsum("nka,nkb->nab", local, local))[1][:, :, 0]
     if viewpoints is not None:
-        eye = viewpoints[cKDTree(viewpoints).query(points)[1]]
+        eye = viewpoints[nearest(cKDTree(viewpoints), points)[1]]
         return normals * np.where(np.sum(normals * (eye - points), axis=1) < 0, -1, 1)[:, None]
     normals = _consistent(normals, near)
     return normals if bulge(points, normals) >= 0 else -normals
@@ -135,7 +144,7 @@ def _consistent(normals: Array, near: NDArray[np.int64]) -> Array:
     return normals * signs[:, None]
 
 
-def bulge(points: Array, normals: Array, most: int = 1500) -> float:
+def bulge(points: Array, normals: Array, most: int = 250) -> float:
     """Return how much normals point out of the bulging shape, -1 .. 1; hands have about 0.5.
 
     Mean cosine between a point's normal and its offset from the mean of the points within 15 mm.
@@ -143,7 +152,7 @@ def bulge(points: Array, normals: Array, most: int = 1500) -> float:
     some = points[:most]
     offsets = np.array(
         [p - points[ids].mean(axis=0)
-         for p, ids in zip(some, cKDTree(points[:6000]).query_ball_point(some, WIDE_M), strict=True)
+         for p, ids in zip(some, cKDTree(points[:4000]).query_ball_point(some, WIDE_M), strict=True)
          ]
     )  # fmt: skip
     return float(np.mean(np.sum(unit(offsets) * normals[:most], axis=1)))

@@ -192,7 +192,7 @@ def run_stage(
 
 
 def own_noise(outcome: Outcome) -> float:
-    """Standard deviation of a scan about a fit, metres, from the median of kept distances."""
+    """Return the sd of a scan about a fit, metres, from the median of kept distances."""
     pairs = outcome.trial.matches[0]
     squared = pairs.squared[pairs.kept]
     if len(squared) == 0:

@@ -16,6 +16,7 @@ from synthgen.geometry.cameras import Camera, camera_from_K
 from synthgen.geometry.normals import incidence, unit, vertex_normals
 from synthgen.geometry.raster import rasterise
 from synthgen.geometry.transforms import look_at
+from synthgen.registration.scan import nearest
 
 Array = NDArray[np.float64]
 DISTANCE_M, GRAZING_COSINE = 0.6, 0.25
@@ -54,7 +55,7 @@ class ScanSettings:
 
 def simulate_scan(
     vertices: NDArray[Any], faces: NDArray[Any], settings: ScanSettings, *, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Scan a mesh.
 
     Returns
@@ -77,7 +78,7 @@ def simulate_scan(
         p, n = p[keep], n[keep]
     chosen = rng.permutation(len(p))[: settings.points]
     p, n = p[chosen], n[chosen]
-    seen = cKDTree(p).query(mesh)[0] < 0.0025
+    seen = nearest(cKDTree(p), mesh)[0] < 0.0025
     p = p + n * rng.normal(0, settings.noise_m, (len(p), 1))
     n = unit(n + rng.normal(0, settings.normal_noise, n.shape))
     wild = rng.random(len(p)) < settings.outliers

@@ -128,7 +128,7 @@ def _accepted(
 
 
 def wrapped(surface: Surface, x: Array) -> Array:
-    """Return the same placement with every joint's angle at most pi (the form is singular at 2 pi)."""
+    """Return the same placement with angles of at most pi: the form is singular at 2 pi."""
     theta = x[surface.pose].reshape(-1, 3)
     angle = np.linalg.norm(theta, axis=1, keepdims=True)
     if angle.max() <= np.pi:

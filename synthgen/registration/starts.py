@@ -82,11 +82,10 @@ def ranked(
 
 
 def reseeded(model: CoarseModel, x: Array, fingers: Array) -> Starts:
-    """The fitted hand with every finger in turn replaced by each of its typical poses."""
+    """Return the fitted hand with every finger in turn replaced by each of its typical poses."""
     first = model.surface.fingers.start
     variants = np.repeat(x[None], fingers.shape[0] * fingers.shape[1], axis=0)
     for k, row in enumerate(variants):
         f, p = divmod(k, fingers.shape[1])
         row[first + 9 * f : first + 9 * f + 9] = fingers[f, p]
     return model.from_vectors(variants)
-

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from synthgen.models import BodyModel
 from synthgen.models.joints import FINGERS
-from synthgen.registration.scan import Scan
+from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed
 from synthgen.registration.terms import closest
 
@@ -158,11 +158,11 @@ def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
 
 def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
     """Return (V,) whether a scan point lies within 2.5 mm and faces alike."""
-    distance, near = scan.tree.query(placed.vertices, distance_upper_bound=4 * COVERED_M)
+    distance, near = nearest(scan.tree, placed.vertices, 4 * COVERED_M)
     found = np.isfinite(distance)
     alike = np.zeros(len(distance), dtype=bool)
     alike[found] = np.sum(placed.normals[found] * scan.normals[near[found]], axis=1) > 0.3
-    return alike & (distance < COVERED_M)
+    return np.asarray(alike & (distance < COVERED_M))
 
 
 def predicted_sd(placed: Placed, hessian: Array) -> Array:

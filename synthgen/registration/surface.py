@@ -111,9 +111,7 @@ class Placed:
         self._rest = surface.model.v_template + surface._shapedirs @ beta
         self._rest += surface._posedirs @ features[0, 1:].ravel()
         self.vertices: Array = np.empty((surface.n_vertices, 3))
-        _skin(
-            self._rest, self.frames, self._shift, surface._ids, surface._weights, self.vertices
-        )
+        _skin(self._rest, self.frames, self._shift, surface._ids, surface._weights, self.vertices)
 
     @cached_property
     def normals(self) -> Array:
@@ -219,7 +217,9 @@ def _differentiate(
                 continue
             for a in range(3):
                 g = frames[k, a]
-                point = w * (g[0] * rest[v, 0] + g[1] * rest[v, 1] + g[2] * rest[v, 2] + shift[k, a])
+                point = w * (
+                    g[0] * rest[v, 0] + g[1] * rest[v, 1] + g[2] * rest[v, 2] + shift[k, a]
+                )
                 for c in range(3):
                     blend[a, c] += w * g[c]
                 for b in range(nb):

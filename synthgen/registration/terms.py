@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from synthgen.registration.scan import Scan
+from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
 Array = NDArray[np.float64]
@@ -81,9 +81,7 @@ class Pairs:
     rim: NDArray[np.bool_]
 
 
-def closest(
-    placed: Placed, points: Array, normals: Array, *, cut_m: float, cosine: float
-) -> Pairs:
+def closest(placed: Placed, points: Array, normals: Array, *, cut_m: float, cosine: float) -> Pairs:
     """Closest points on the mesh (libigl), with interpolated (Phong) normals."""
     import igl
 
@@ -169,7 +167,7 @@ class MeshToScan:
 
     def match(self, placed: Placed) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
         """Nearest scan points, squared distances, and which pairs count."""
-        distance, near = self.scan.tree.query(placed.vertices)
+        distance, near = nearest(self.scan.tree, placed.vertices)
         facing = np.sum(placed.normals * self.scan.normals[near], axis=1)
         kept = (distance < self.cut_m) & (facing > self.cosine) & ~placed.surface.rim
         if self.visible is not None:
@@ -328,14 +326,12 @@ def _attributes(
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _rows(jacobian: Any, triangle: Any, barycentric: Any, direction: Any) -> Any:
-    """Derivatives (m, n) of points on triangles along directions."""
+    """Differentiate points on triangles along directions: (m, n)."""
     out = np.zeros((len(triangle), jacobian.shape[2]))
     for i in range(len(triangle)):
         for corner in range(3):
             v, b = triangle[i, corner], barycentric[i, corner]
             x, y, z = b * direction[i, 0], b * direction[i, 1], b * direction[i, 2]
             for p in range(jacobian.shape[2]):
-                out[i, p] += (
-                    x * jacobian[v, 0, p] + y * jacobian[v, 1, p] + z * jacobian[v, 2, p]
-                )
+                out[i, p] += x * jacobian[v, 0, p] + y * jacobian[v, 1, p] + z * jacobian[v, 2, p]
     return out

@@ -122,7 +122,7 @@ def from_angles(limits: JointLimits, angles: NDArray[np.floating]) -> Array:
 
 
 def frames_of(limits: JointLimits) -> tuple[Array, Array]:
-    """Return right-handed frames (16, 3, 3) and the signs (16, 3) of the angles about their rows."""
+    """Return right-handed frames (16, 3, 3) and signs (16, 3) of the angles about their rows."""
     frame = limits.axes.copy()
     handed = np.sign(np.linalg.det(frame))
     frame[:, 1] *= handed[:, None]

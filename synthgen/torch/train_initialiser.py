@@ -183,7 +183,7 @@ def _train(
         best = error.min(1)[0].mean()
         loss = best + 0.05 * error.mean() + 0.005 * (out[..., 9:] ** 2).mean()
         optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimiser.step()
         recent.append(float(best.detach()))
