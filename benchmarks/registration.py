@@ -6,7 +6,6 @@ joint turned by 4 degrees; rotations uniform over SO(3); three depth cameras, ho
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -53,6 +52,7 @@ class Outcome:
 
     @property
     def false_pass(self) -> bool:
+        """Whether a wrong fit passed."""
         return self.fit.verdict == "pass" and self.error > SUCCESS_MM
 
 
@@ -192,13 +192,3 @@ def run(n: int = FEW) -> dict[str, Any]:
             "Detail: displacements that no model expresses (0.6 mm); the others are in-model.",
         ],
     }
-
-
-if __name__ == "__main__":
-    words = sys.argv[1:]
-    options: dict[str, Any] = {}
-    for word in words[3:]:
-        key, value = word.split("=")
-        options[key] = float(value) if key.endswith("_m") else (value == "1" if key == "coupled" else value)
-    outcomes = series(int(words[1]), int(words[2]), words[0], say=lambda t: print(t, flush=True), **options)
-    print(dict(zip(COLUMNS, row("", outcomes), strict=True)))

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 Side = Literal["left", "right"]
 Start = str | tuple[Any, Any, Any]
 TURNS = 4
+# A failed fit that explains this much has the right basin: the table has nothing to add.
+RIGHT_BASIN = 0.97
 _FLIP = np.array([-1.0, 1.0, 1.0])
 
 
@@ -229,7 +231,9 @@ def _fit(
             break
     assert best is not None
     side, chosen = best
-    if start is None and not chosen.accepted and not searches[side].escalated:
+    explained = 0.0 if chosen.statistics is None else chosen.statistics.explained
+    lost = start is None and not chosen.accepted and explained < RIGHT_BASIN
+    if lost and not searches[side].escalated:
         chosen = searches[side].escalate()
     judgement = chosen.judgement or Judgement("fail", "cold_start_failed")
     if judgement.verdict == "fail" and len(sides) == 1:

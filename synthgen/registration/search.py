@@ -25,6 +25,7 @@ from synthgen.registration.verdict import Judgement, judge
 
 Array = NDArray[np.float64]
 EARLY, MOST_FINISHES, MOST_RESEEDS, COARSE_POINTS = 0.92, 6, 2, 600
+SAME_M = 5e-4  # two fits nearer than this found the same optimum
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +131,12 @@ class Search:
         reseeds = 0
         while queue and len(self.candidates) < MOST_FINISHES:
             x, name = queue.pop(0)
-            if self.finish(x, name).accepted:
+            before = list(self.candidates)
+            found = self.finish(x, name)
+            if found.accepted:
                 break
+            if name.startswith("r") and any(self._same(found, c) for c in before):
+                break  # other fingers led to the same fit: it is what this start has to give
             if reseeds < MOST_RESEEDS and (name.endswith("0") or name.startswith("r")):
                 reseeds += 1
                 queue = [(y, f"r{reseeds}") for y in self.reseed()[:2]] + queue
@@ -145,6 +150,13 @@ class Search:
         found, _ = coarse.run(model, starts, self.points, self.normals, coarse.RESEED, 7e-4)
         self._spent("reseed", began)
         return model.to_vectors(found)
+
+    def _same(self, a: Candidate, b: Candidate) -> bool:
+        if a.statistics is None or b.statistics is None:
+            return False
+        surface = self.settings.surface
+        off = surface.at(a.x).vertices - surface.at(b.x).vertices
+        return float(np.linalg.norm(off, axis=1).mean()) < SAME_M
 
     @property
     def best(self) -> Candidate:

@@ -26,6 +26,8 @@ NEAR_M, EVALUATED = 0.010, 20_000
 LEAST_POINTS, COVERED_M = 60, 0.0025
 # 95 % quantile over the median of a half-normal.
 HALF_NORMAL = 2.906
+# Relative standard error of that quantile, times the root of the number of points.
+QUANTILE_ERROR = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,8 @@ class Statistics:
     unexplained : (6,) and p95_m : (6,)
         By part (palm, index, middle, pinky, ring, thumb); NaN where a part has few points.
     ratio : float
-        Worst part's p95 over the global median, 1 for normal noise.
+        Worst part's p95 over the global median, 1 for normal noise, less 2.5 standard errors of
+        that quantile (small parts have few points).
     coverage : (6,)
         Share of a part's vertices with a scan point within 2.5 mm that faces alike.
     sd_m : (V,)
@@ -130,17 +133,18 @@ def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
     part = part_of_vertex(placed.surface.model)[
         pairs.triangle[np.arange(len(points)), pairs.barycentric.argmax(axis=1)]
     ]
-    unexplained, p95 = np.full(len(PARTS), np.nan), np.full(len(PARTS), np.nan)
+    unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
     for k in range(len(PARTS)):
         own = near & (part == k)
         if own.sum() >= LEAST_POINTS:
             unexplained[k] = bad[own].mean()
             p95[k] = np.quantile(distance[own], 0.95)
+            ratios[k] = p95[k] / (HALF_NORMAL * max(median, 1e-5))
+            ratios[k] -= 2.5 * QUANTILE_ERROR / np.sqrt(own.sum())
     inner = near & ~bad
     covered = coverage(placed, scan)
     sd = predicted_sd(placed, hessian)
     by_vertex = part_of_vertex(placed.surface.model)
-    worst = float(np.nanmax(p95, initial=0.0))
     return Statistics(
         explained=float((~bad)[near].mean()) if near.any() else 0.0,
         far=float((~near & ~pairs.rim).mean()),
@@ -149,7 +153,7 @@ def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
         rms_m=float(np.sqrt(np.mean(distance[inner] ** 2))) if inner.any() else NEAR_M,
         unexplained=unexplained,
         p95_m=p95,
-        ratio=worst / (HALF_NORMAL * max(median, 1e-5)),
+        ratio=float(np.nanmax(ratios, initial=0.0)),
         coverage=np.array([covered[by_vertex == k].mean() for k in range(len(PARTS))]),
         sd_m=sd,
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
