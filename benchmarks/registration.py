@@ -56,7 +56,9 @@ class Outcome:
         return self.fit.verdict == "pass" and self.error > SUCCESS_MM
 
 
-def make_case(number: int, seed: int, noise_m: float = 2e-4, detail_m: float = 0.0) -> Case:
+def make_case(
+    number: int, seed: int, noise_m: float = 2e-4, detail_m: float = 0.0, rough: float = 0.0
+) -> Case:
     """Pose, place and scan one hand."""
     model = models.load("cc0-hand")
     surface = surface_of(model)
@@ -71,7 +73,7 @@ def make_case(number: int, seed: int, noise_m: float = 2e-4, detail_m: float = 0
     x = surface.pack(shape, pose, rng.normal(0, 0.03, 3))
     vertices = surface.at(x).vertices
     if detail_m:
-        vertices = with_detail(vertices, surface.faces, detail_m, rng=rng)
+        vertices = with_detail(vertices, surface.faces, detail_m, rng=rng, rough=rough)
     settings = ScanSettings(noise_m=noise_m)
     points, normals, seen = simulate_scan(vertices, surface.faces, settings, rng=rng)
     name = names[own] if not share else f"{names[own]} / {names[other]}"
@@ -108,10 +110,11 @@ def measure(case: Case, start: str, **settings: Any) -> Outcome:
 def series(n: int, seed: int, start: str, **settings: Any) -> list[Outcome]:
     """Make and fit n cases."""
     noise, detail = settings.pop("noise_m", 2e-4), settings.pop("detail_m", 0.0)
+    rough = settings.pop("rough", 0.0)
     say = settings.pop("say", None)
     found = []
     for k in range(n):
-        found.append(measure(make_case(k, seed, noise, detail), start, **settings))
+        found.append(measure(make_case(k, seed, noise, detail, rough), start, **settings))
         if say is not None:
             say(f"{k} {describe(found[-1])}")
     return found
@@ -182,6 +185,10 @@ def run(n: int = FEW) -> dict[str, Any]:
         row("cold, side unknown", series(n // 2, 4, "cold", hand="auto")),
         row("perturbed, 0.6 mm detail", series(n // 2, 5, "perturbed", detail_m=6e-4)),
         row("same, coupled stage", series(n // 2, 5, "perturbed", detail_m=6e-4, coupled=True)),
+        row(
+            "a third of it rough, coupled",
+            series(n // 2, 5, "perturbed", detail_m=6e-4, rough=1 / 3, coupled=True),
+        ),
     ]
     return {
         "title": "Registration of hands (cc0-hand), foreign poses; 95 % intervals",

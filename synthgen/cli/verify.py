@@ -1,4 +1,4 @@
-"""``synthgen verify``: recompute labels, fit the model back to the data, put the checks on trial."""
+"""``synthgen verify``: recompute labels, fit the model back, put the checks on trial."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ Some = Annotated[
 ]
 Report = Annotated[
     Path | None,
-    typer.Option("--report", metavar="FILE", help="Write the report as JSON; --start adds a .html."),
+    typer.Option(
+        "--report", metavar="FILE", help="Write the report as JSON; --start adds a .html."
+    ),
 ]
 Start = Annotated[
     str | None,

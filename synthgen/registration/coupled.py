@@ -152,7 +152,7 @@ def _solve(
     w = GemanMcClure(settings.sigma_m).weight(pairs.squared, pairs.kept) / noise_m**2
     used = np.flatnonzero(w)
     t, b, w = pairs.triangle[used], pairs.barycentric[used], w[used]
-    target = scan.points[used] - np.einsum("mk,mka->ma", b, model[t])
+    target = scan.points[used] - np.einsum("mk,mka->ma", b, model[t]) - pairs.shift[used]
     n = pairs.normal[used]
     rows = np.repeat(np.arange(len(used)), 9)
     columns = (3 * t[:, :, None] + np.arange(3)).ravel()

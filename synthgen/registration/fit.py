@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
-from synthgen.registration.coarse_model import coarse_model_of
+from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
-from synthgen.registration.initialiser import initialiser_of
+from synthgen.registration.initialiser import Initialiser, initialiser_of
 from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
 from synthgen.registration.prior import learned_prior
@@ -90,6 +90,7 @@ def fit(
     components: int | None = None,
     keypoints: tuple[Any, Any] | None = None,
     pose_prior: tuple[Any, float] | None = None,
+    curved: float = 0.0,
     seed: int = 0,
 ) -> Fit:
     """Fit a hand model to points.
@@ -119,6 +120,9 @@ def fit(
         Known 3-D joints: (m,) joint numbers and (m, 3) metres.
     pose_prior : (pose, sd_rad) or None
         A protocol's known pose, (K, 3) axis-angle of the fitted side, and its spread.
+    curved : float
+        0: the scanned surface is the model's flat triangles; 0.75: it is smooth through the
+        model's vertices, as renderers draw it and as skin is.
     seed : int
         Of the order in which points are looked at.
 
@@ -132,7 +136,7 @@ def fit(
     ShapeError, ModelError
         If arguments do not belong together (not for bad scans).
     """
-    request = _Request(_right(model), preset, coupled, components, keypoints, pose_prior, seed)
+    request = _Request(_right(model), preset, coupled, components, keypoints, pose_prior, curved)
     sides = _sides(hand)
     own, given, dropped = checked_points(points, normals)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -156,7 +160,7 @@ class _Request:
     components: int | None
     keypoints: tuple[Any, Any] | None
     pose_prior: tuple[Any, float] | None
-    seed: int
+    curved: float
 
     def settings(self, side: Side) -> Settings:
         """Return what one side's search works with; side "left" sees the mirrored scan."""
@@ -178,7 +182,8 @@ class _Request:
             extra.append(GaussianPrior(surface.fingers, fingers, spread))
         basis = None if self.components is None else pca_basis(surface, self.components)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),
-                        preset_named(self.preset), extra, basis)  # fmt: skip
+                        preset_named(self.preset), extra, basis,
+                        curved=self.curved)  # fmt: skip
 
 
 def _right(model: BodyModel) -> ManoModel:
@@ -232,7 +237,7 @@ def _fit(
     assert best is not None
     side, chosen = best
     explained = 0.0 if chosen.statistics is None else chosen.statistics.explained
-    lost = start is None and not chosen.accepted and explained < RIGHT_BASIN
+    lost = not chosen.accepted and explained < RIGHT_BASIN
     if lost and not searches[side].escalated:
         chosen = searches[side].escalate()
     judgement = chosen.judgement or Judgement("fail", "cold_start_failed")
@@ -249,32 +254,35 @@ class _Run:
         self.settings = request.settings(side)
         self.search = Search(self.settings, self.scan)
         self.net = initialiser_of(request.model)
-        self.escalated = self.net is None
+        self.escalated = self.net is None and start is None
         self.start = start
         if start is not None:
-            own = start if side == "right" else _mirrored(self.settings, start)
             self.kind = "given"
+            own = start if side == "right" else _mirrored(self.settings, start)
             hypotheses = around(self.settings.coarse, own, self.scan.centre)
-        elif self.net is not None:
-            self.kind = "cold, learned"
-            hypotheses = learned_starts(
-                self.net, self.settings.coarse, self.search.points, self.search.normals, TURNS
-            )
         else:
-            self.kind = "cold, table"
-            hypotheses = self._table()
+            self.kind = "cold, table" if self.net is None else "cold, learned"
+            hypotheses = self._table() if self.net is None else self._learned(self.net)
         self.vectors, energies = self.search.coarse(hypotheses)
         self.energy = float(energies[0])
 
-    def _table(self) -> Any:
+    def _table(self) -> Starts:
         s = self.search
         return table_starts(self.settings.coarse, s.points, s.normals, self.scan.centre)
 
+    def _learned(self, net: Initialiser) -> Starts:
+        s = self.search
+        return learned_starts(net, self.settings.coarse, s.points, s.normals, TURNS)
+
     def escalate(self) -> Candidate:
-        """Nothing was accepted: try the table as well."""
+        """Nothing was accepted: try the table too, or, from a given start, a cold one."""
         self.escalated = True
-        self.kind = "cold, learned + table"
-        vectors, _ = self.search.coarse(self._table())
+        if self.start is not None and self.net is not None:
+            self.kind += " + learned"
+            vectors, _ = self.search.coarse(self._learned(self.net))
+        else:
+            self.kind += " + table"
+            vectors, _ = self.search.coarse(self._table())
         for k, x in enumerate(vectors[:2]):
             if self.search.finish(x, f"t{k}").accepted:
                 break
@@ -342,7 +350,7 @@ def _freed(request: _Request, run: _Run, chosen: Candidate) -> Array | None:
     if not request.coupled or chosen.statistics is None:
         return None
     began = time.process_time()
-    settings, noise = run.settings, max(chosen.statistics.noise_m, 1e-4)
+    settings, noise = run.settings, max(run.scan.local_noise_m, 1e-4)
     priors = settings.priors(1.0)
     free = couple(settings.surface, run.scan, chosen.x, priors, noise).vertices
     run.search.seconds["coupled"] = time.process_time() - began

@@ -51,6 +51,16 @@ class Scan:
         near = distance <= 2.2 * np.median(distance) + 1e-12
         return np.asarray(self.points[near].mean(axis=0))
 
+    @cached_property
+    def local_noise_m(self) -> float:
+        """Median scatter of points about the planes of their 12 nearest neighbours, metres."""
+        k = min(NEIGHBOURS, len(self.points))
+        found: Any = self.tree.query(self.points[:400], k=k)
+        near = self.points[np.asarray(found[1])]
+        local = near - near.mean(axis=1, keepdims=True)
+        least = np.linalg.eigvalsh(np.einsum("nka,nkb->nab", local, local))[:, 0]
+        return float(np.sqrt(np.median(np.maximum(least, 0)) / max(k - 3, 1)))
+
     def mirrored(self) -> Scan:
         """Reflect x: a left hand's scan becomes a right hand's."""
         flip = np.array([-1.0, 1.0, 1.0])

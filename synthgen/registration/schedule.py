@@ -70,7 +70,8 @@ WIDE = Stage(600, 12, 15 * MM, 80 * MM, 0.0, 0.5 * MM, 60, tangential=0.2, mesh_
              mesh_cut_m=0.04)  # fmt: skip
 CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
 NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
-FINAL = Stage(16_000, 8, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 16_000, prior=0.3)
+FINAL = Stage(10_000, 5, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
+LAST = replace(FINAL, points=40_000, n_eff=40_000, iterations=2)
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,11 @@ def _paper(lambda_a: float, stage: Stage) -> Stage:
 
 
 PRESETS = {
-    "fast": Preset("fast", (RIGID, WIDE), (CLOSE, NEAR, FINAL)),
+    "fast": Preset("fast", (RIGID, WIDE), (CLOSE, NEAR, FINAL, LAST)),
     "accurate": Preset(
         "accurate",
         (RIGID, WIDE),
-        (CLOSE, NEAR, FINAL, replace(FINAL, points=40_000, n_eff=40_000, iterations=6)),
+        (CLOSE, NEAR, FINAL, replace(LAST, points=100_000, n_eff=100_000, iterations=6)),
     ),
     "paper": Preset(
         "paper",
@@ -130,14 +131,20 @@ def preset_named(name: str) -> Preset:
 
 
 def stage_terms(
-    scan: Scan, stage: Stage, priors: Sequence[Term], visible: NDArray[np.bool_] | None = None
+    scan: Scan,
+    stage: Stage,
+    priors: Sequence[Term],
+    visible: NDArray[np.bool_] | None = None,
+    curved: float = 0.0,
 ) -> list[Term]:
-    """Return the terms of one stage."""
+    """Return the terms of one stage; a scan of fewer points than the stage's counts for fewer."""
     points, normals = scan.points[: stage.points], scan.normals[: stage.points]
-    weight = stage.n_eff / stage.noise_m**2
+    weight = stage.n_eff * len(points) / stage.points / stage.noise_m**2
     rho = GemanMcClure(stage.sigma_m)
     terms: list[Term] = [
-        ScanToMesh(points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential)
+        ScanToMesh(
+            points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential, curved
+        )
     ]
     if stage.mesh_to_scan > 0:
         terms.append(
@@ -184,9 +191,10 @@ def run_stage(
     method: Method = "lm",
     basis: Array | None = None,
     visible: NDArray[np.bool_] | None = None,
+    curved: float = 0.0,
 ) -> Outcome:
     """Run one stage from x."""
-    energy = Energy(surface, stage_terms(scan, stage, priors, visible))
+    energy = Energy(surface, stage_terms(scan, stage, priors, visible, curved))
     chosen = rigid_basis(surface) if stage.rigid else basis
     return minimise(energy, x, iterations=stage.iterations, basis=chosen, method=method)
 

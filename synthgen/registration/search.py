@@ -15,7 +15,15 @@ from synthgen.registration import coarse
 from synthgen.registration.coarse_model import CoarseModel, Single, Starts
 from synthgen.registration.prior import HandPrior
 from synthgen.registration.scan import Scan
-from synthgen.registration.schedule import FINAL, Preset, Stage, last_stage, own_noise, run_stage
+from synthgen.registration.schedule import (
+    FINAL,
+    Preset,
+    Stage,
+    last_stage,
+    own_noise,
+    run_stage,
+    stage_terms,
+)
 from synthgen.registration.solver import Energy, Outcome
 from synthgen.registration.starts import ranked, reseeded
 from synthgen.registration.statistics import Statistics, early_explained, statistics
@@ -40,6 +48,8 @@ class Settings:
         Joint limits, protocol pose, keypoints: whatever the caller adds.
     basis : (n, p) or None
         Directions of the finishing stages.
+    curved : float
+        See :func:`synthgen.registration.terms.closest`.
     """
 
     model: BodyModel
@@ -50,6 +60,7 @@ class Settings:
     extra: Sequence[Term] = ()
     basis: Array | None = None
     visible: NDArray[np.bool_] | None = None
+    curved: float = 0.0
 
     def priors(self, weight: float) -> list[Term]:
         """Pose and shape priors at a weight, and the extra terms."""
@@ -179,6 +190,7 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         outcome = run_stage(
             settings.surface, scan, x, stage, settings.priors(stage.prior),
             method=settings.preset.method, basis=settings.basis, visible=settings.visible,
+            curved=settings.curved,
         )  # fmt: skip
         x = outcome.x
         log.append(_logged(stage, outcome, began))
@@ -189,21 +201,15 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         noise = own_noise(outcome)
     assert outcome is not None
     hessian = _information(settings, scan, outcome, stage)
-    found = statistics(outcome.trial.placed, scan, hessian)
+    found = statistics(outcome.trial.placed, scan, hessian, settings.curved)
     verdict = judge(found, x[settings.surface.shape])
     return Candidate(x, source, early, found, verdict, hessian, log)
 
 
 def _information(settings: Settings, scan: Scan, outcome: Outcome, stage: Stage) -> Array:
-    """Hessian of the last stage: the inverse covariance of the parameters."""
-    from synthgen.registration.schedule import stage_terms
-
+    """Return the last stage's Hessian at full priors: the parameters' inverse covariance."""
     terms = stage_terms(scan, stage, settings.priors(1.0))
-    energy = Energy(settings.surface, terms)
-    placed = outcome.trial.placed
-    matches = tuple(term.match(placed) for term in terms)
-    trial = type(outcome.trial)(placed, matches, outcome.trial.cost)
-    return energy.normal_equations(trial)[0]
+    return Energy(settings.surface, terms).normal_equations(outcome.trial)[0]
 
 
 def _logged(stage: Stage, outcome: Outcome, began: float) -> dict[str, Any]:

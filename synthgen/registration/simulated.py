@@ -120,12 +120,17 @@ def view_points(
 
 
 def with_detail(
-    vertices: NDArray[Any], faces: NDArray[Any], amplitude_m: float, *, rng: np.random.Generator
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    amplitude_m: float,
+    *,
+    rng: np.random.Generator,
+    rough: float = 0.0,
 ) -> Array:
     """Add detail that no model expresses: bumps along the normals.
 
-    Two thirds of the variance are smooth bumps (elastic tissue), the rest is independent per
-    vertex (wrinkles); ``amplitude_m`` is the standard deviation of the displacement.
+    ``amplitude_m`` is the standard deviation of the displacement; the share ``rough`` of its
+    variance is independent per vertex (wrinkles), the rest smooth (elastic tissue).
     """
     mesh = np.asarray(vertices, dtype=np.float64)
     touch = incidence(faces, len(mesh))
@@ -134,8 +139,8 @@ def with_detail(
     smooth = rng.standard_normal(len(mesh))
     for _ in range(6):
         smooth = mean @ smooth
-    rough = rng.standard_normal(len(mesh))
-    bump = np.sqrt(2 / 3) * smooth / smooth.std() + np.sqrt(1 / 3) * rough
+    white = rng.standard_normal(len(mesh))
+    bump = np.sqrt(1 - rough) * smooth / smooth.std() + np.sqrt(rough) * white
     bump *= amplitude_m / bump.std()
     result: Array = mesh + bump[:, None] * vertex_normals(mesh, faces)
     return result

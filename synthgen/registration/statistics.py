@@ -28,6 +28,8 @@ LEAST_POINTS, COVERED_M = 60, 0.0025
 HALF_NORMAL = 2.906
 # Relative standard error of that quantile, times the root of the number of points.
 QUANTILE_ERROR = 0.95
+# A p95 below this is good whatever the median: the model's own limits, not the noise.
+LEAST_P95_M = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,8 @@ class Statistics:
         Share of all points farther than 10 mm, open rims not counted.
     noise_m : float
         Standard deviation of the points about the surface.
+    local_noise_m : float
+        Their own scatter, about local planes: less than ``noise_m`` where the model misfits.
     unexplained : (6,) and p95_m : (6,)
         By part (palm, index, middle, pinky, ring, thumb); NaN where a part has few points.
     ratio : float
@@ -59,6 +63,7 @@ class Statistics:
     far: float
     limit_m: float
     noise_m: float
+    local_noise_m: float
     rms_m: float
     unexplained: Array
     p95_m: Array
@@ -98,6 +103,7 @@ class Statistics:
             "far_share": self.far,
             "scan_to_mesh_rms_mm": 1e3 * self.rms_m,
             "noise_mm": 1e3 * self.noise_m,
+            "local_noise_mm": 1e3 * self.local_noise_m,
             "worst_part_unexplained": self.worst_unexplained,
             "worst_part_p95_ratio": self.ratio,
             "predicted_vertex_sd_mm": {
@@ -119,10 +125,10 @@ def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
     return np.where(joint == 0, 0, (joint + 2) // 3)
 
 
-def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
+def statistics(placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0) -> Statistics:
     """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage."""
     points, normals = scan.points[-EVALUATED:], scan.normals[-EVALUATED:]
-    pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0)
+    pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved)
     distance = np.sqrt(pairs.squared)
     facing = np.sum(pairs.normal * normals, axis=1) > 0.3
     near = pairs.kept
@@ -139,7 +145,7 @@ def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
         if own.sum() >= LEAST_POINTS:
             unexplained[k] = bad[own].mean()
             p95[k] = np.quantile(distance[own], 0.95)
-            ratios[k] = p95[k] / (HALF_NORMAL * max(median, 1e-5))
+            ratios[k] = p95[k] / max(HALF_NORMAL * median, LEAST_P95_M)
             ratios[k] -= 2.5 * QUANTILE_ERROR / np.sqrt(own.sum())
     inner = near & ~bad
     covered = coverage(placed, scan)
@@ -150,6 +156,7 @@ def statistics(placed: Placed, scan: Scan, hessian: Array) -> Statistics:
         far=float((~near & ~pairs.rim).mean()),
         limit_m=limit,
         noise_m=noise,
+        local_noise_m=scan.local_noise_m,
         rms_m=float(np.sqrt(np.mean(distance[inner] ** 2))) if inner.any() else NEAR_M,
         unexplained=unexplained,
         p95_m=p95,

@@ -66,7 +66,9 @@ class Pairs:
 
     Attributes
     ----------
-    triangle : (m, 3) int64 vertex ids; barycentric, point, normal : (m, 3)
+    triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
+        The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
+        triangle to the curved surface.
     squared : (m,) metres^2
     kept : (m,) bool, near enough, facing alike, not off the rim
     rim : (m,) bool, closest point on an open boundary
@@ -74,27 +76,40 @@ class Pairs:
 
     triangle: NDArray[np.int64]
     barycentric: Array
-    point: Array
+    shift: Array
     normal: Array
     squared: Array
     kept: NDArray[np.bool_]
     rim: NDArray[np.bool_]
 
 
-def closest(placed: Placed, points: Array, normals: Array, *, cut_m: float, cosine: float) -> Pairs:
-    """Closest points on the mesh (libigl), with interpolated (Phong) normals."""
+def closest(
+    placed: Placed,
+    points: Array,
+    normals: Array,
+    *,
+    cut_m: float,
+    cosine: float,
+    curved: float = 0.0,
+) -> Pairs:
+    """Closest points on the mesh (libigl), with interpolated (Phong) normals.
+
+    ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
+    0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
+    skin is.
+    """
     import igl
 
     s = placed.surface
     squared, face, point = igl.point_mesh_squared_distance(points, placed.vertices, s.faces)[:3]
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
-    agree = np.empty(len(points))
+    agree, shift = np.empty(len(points)), np.empty((len(points), 3))
     rim = np.empty(len(points), dtype=np.bool_)
     _attributes(placed.vertices, placed.normals, triangle, np.ascontiguousarray(point), normals,
-                s.rim, barycentric, normal, agree, rim)  # fmt: skip
+                s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
-    return Pairs(triangle, barycentric, point, normal, squared, kept, rim)
+    return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +129,8 @@ class ScanToMesh:
         Smallest cosine between the normals of scan and mesh.
     tangential : float
         Share of the point-to-point distance added, which ties down sliding far from the optimum.
+    curved : float
+        See :func:`closest`.
     """
 
     points: Array
@@ -123,10 +140,18 @@ class ScanToMesh:
     cut_m: float
     cosine: float
     tangential: float = 0.0
+    curved: float = 0.0
 
     def match(self, placed: Placed) -> Pairs:
         """Find closest points."""
-        return closest(placed, self.points, self.normals, cut_m=self.cut_m, cosine=self.cosine)
+        return closest(
+            placed,
+            self.points,
+            self.normals,
+            cut_m=self.cut_m,
+            cosine=self.cosine,
+            curved=self.curved,
+        )
 
     def cost(self, placed: Placed, match: Pairs) -> float:
         """Return the weighted mean robust cost."""
@@ -138,7 +163,7 @@ class ScanToMesh:
         used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
         t, b, w = match.triangle[used], match.barycentric[used], w[used]
         corner = placed.vertices[t]
-        offset = np.einsum("mk,mka->ma", b, corner) - self.points[used]
+        offset = np.einsum("mk,mka->ma", b, corner) + match.shift[used] - self.points[used]
         blocks = [
             Block(np.sum(offset * match.normal[used], axis=1),
                   _rows(placed.jacobian, t, b, match.normal[used]), w)
@@ -293,7 +318,8 @@ class KeypointTerm:
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _attributes(
     vertices: Any, vertex_normals: Any, triangle: Any, point: Any, scan_normals: Any, rim: Any,
-    barycentric: Any, normal: Any, agree: Any, on_rim: Any,
+    curved: float, scan: Any, barycentric: Any, shift: Any, squared: Any, normal: Any, agree: Any,
+    on_rim: Any,
 ) -> None:  # fmt: skip
     """Barycentrics of points on triangles, Phong normals, cosines, and whether on an open edge."""
     for i in range(len(triangle)):
@@ -317,6 +343,25 @@ def _attributes(
         for k in range(3):
             normal[i, k] /= length
         agree[i] = cosine / length
+        if curved > 0.0:
+            moved_x, moved_y, moved_z = 0.0, 0.0, 0.0
+            for corner in range(3):
+                v, share = triangle[i, corner], barycentric[i, corner]
+                above = 0.0
+                for k in range(3):
+                    above += (vertices[v, k] - point[i, k]) * vertex_normals[v, k]
+                moved_x += share * above * vertex_normals[v, 0]
+                moved_y += share * above * vertex_normals[v, 1]
+                moved_z += share * above * vertex_normals[v, 2]
+            shift[i, 0], shift[i, 1], shift[i, 2] = moved_x, moved_y, moved_z
+            total = 0.0
+            for k in range(3):
+                shift[i, k] *= curved
+                off = point[i, k] + shift[i, k] - scan[i, k]
+                total += off * off
+            squared[i] = total
+        else:
+            shift[i] = 0.0
         inner = 0.0  # weight on vertices that are not on the rim
         inner += 0.0 if rim[a] else z
         inner += 0.0 if rim[b] else x

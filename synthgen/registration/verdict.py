@@ -27,7 +27,9 @@ REASONS = (
     "truth_mismatch",  # round trip only: the fit is good and the truth is far
 )
 UNEXPLAINED, RATIO, EXPLAINED = 0.05, 1.12, 0.95
-SD95_M, SD_PER_NOISE = 6e-4, 1.0
+# Where the model misfits (detail it cannot express), residuals are no longer like noise.
+MISFIT, MISFIT_RATIO = 1.5, 1.6
+SD95_M, SD_PER_NOISE = 6e-4, 0.7
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 
 
@@ -50,7 +52,7 @@ def sd_limit_m(noise_m: float) -> float:
     return max(SD95_M, SD_PER_NOISE * noise_m)
 
 
-def judge(s: Statistics, shape: np.ndarray, *, ratio: float = RATIO) -> Judgement:
+def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     """Judge one finished fit."""
     bad = [PARTS[k] for k in np.argsort(-np.nan_to_num(s.unexplained))
            if s.unexplained[k] >= UNEXPLAINED]  # fmt: skip
@@ -64,7 +66,7 @@ def judge(s: Statistics, shape: np.ndarray, *, ratio: float = RATIO) -> Judgemen
         return Judgement("fail", "finger_swap", tuple(bad))
     if bad:
         return Judgement("fail", "finger_missed", tuple(bad))
-    if s.ratio >= ratio:
+    if s.ratio >= (MISFIT_RATIO if s.noise_m > MISFIT * s.local_noise_m else RATIO):
         worst = PARTS[int(np.nanargmax(np.nan_to_num(s.p95_m)))]
         return Judgement("fail", "finger_missed", (worst,))
     if np.abs(shape).max() > SHAPE_SD:

@@ -32,6 +32,7 @@ from synthgen.verify.stored_points import StoredPoints, stored_points
 Array = NDArray[np.float64]
 STARTS = ("gt", "perturbed", "cold")
 PERTURBED_DEG, SEEN_M = 15.0, 2.5e-3
+CURVED = 0.75  # what is drawn is smooth through the model's vertices
 # Of the noise, per coordinate, at 10 000 points; what the drawn surface's curvature adds.
 FLOOR_SHARE, FLOOR_M = 0.3, 1e-4
 MISMATCH_FLOORS, MISMATCH_M, TRUTH_EXPLAINS = 5.0, 1e-3, 0.95
@@ -146,7 +147,7 @@ def _trip(sample: Sample, number: int, start: str) -> HandTrip:
             return HandTrip(sample.index, number, "labels only", "no depth is stored", "none")
         begin = starting_point(sample.index, subject, start)
         found = fit(stored.points, stored.normals, subject.loaded, begin, subject.hand,
-                    viewpoints=stored.viewpoints)  # fmt: skip
+                    viewpoints=stored.viewpoints, curved=CURVED)  # fmt: skip
     except (SynthgenError, ValueError, np.linalg.LinAlgError) as error:
         return HandTrip(sample.index, number, "truth_mismatch", f"{type(error).__name__}: {error}",
                         "unreadable")  # fmt: skip
