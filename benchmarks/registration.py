@@ -86,8 +86,9 @@ def perturbed(case: Case) -> tuple[Any, Any, Any]:
     axis = case.rng.standard_normal(3)
     axis *= np.deg2rad(15 * case.rng.random()) / np.linalg.norm(axis)
     pose = np.concatenate([np.zeros((1, 3)), model.hands_mean.reshape(15, 3)])
-    pose[0] = (Rotation.from_rotvec(axis) * Rotation.from_rotvec(case.x[3:6])).as_rotvec()
-    return np.zeros(model.n_shape), pose, case.x[:3]
+    _, truth, translation = surface_of(model).unpack(case.x)
+    pose[0] = (Rotation.from_rotvec(axis) * Rotation.from_rotvec(truth[0])).as_rotvec()
+    return np.zeros(model.n_shape), pose, translation
 
 
 def measure(case: Case, start: str, **settings: Any) -> Outcome:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import CorpusError, IntegrityError
-from synthgen.models import load
+from synthgen.models import load_hand
 from synthgen.models.joints import OPENPOSE21_NAMES
 from synthgen.render.renderer import RenderedView
 from synthgen.sampling.spec import SampleSpec
@@ -85,7 +85,7 @@ def describe(spec: SampleSpec, number: int, view: RenderedView) -> dict[str, Any
     camera = view.camera
     hands = []
     for k, (subject, hand) in enumerate(zip(spec.scene.subjects, view.hands, strict=True)):
-        model = load(subject.model, hand=subject.hand)
+        model = load_hand(subject.model, hand=subject.hand)
         own = (view.labels.instance_id == k + 1) & (view.labels.part_id <= 16)
         hands.append(
             {

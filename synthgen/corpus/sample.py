@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.corpus.columns import DEPTH_STEP_M, decode_exr, decode_image
 from synthgen.errors import CorpusError
-from synthgen.models import ManoModel, load
+from synthgen.models import ManoModel, load_hand
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject
 
@@ -76,7 +76,7 @@ class Subject:
         CorpusError
             If the model found under this name is not the one the sample was made with.
         """
-        model = load(self.model, hand=self._subject.hand)
+        model = load_hand(self.model, hand=self._subject.hand)
         if model.digest != self._digest:
             raise CorpusError(
                 f"the model {self.model!r} found here has digest {model.digest[:12]}, the sample "

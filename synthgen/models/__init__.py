@@ -1,27 +1,67 @@
-"""Hand models: files, evaluation, mirroring, joint tables and the drawn surface."""
+"""Hand and body models: files, evaluation, derivatives, mirroring, parts, the drawn surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from synthgen.models.constrained import ConstrainedTree
-from synthgen.models.files import list_models, load
+from synthgen.models.files import load, load_content, load_hand
+from synthgen.models.finding import list_models
 from synthgen.models.hand_pca import pose_from_pca
-from synthgen.models.joints import openpose21
+from synthgen.models.inverse import pca_from_pose
+from synthgen.models.keypoints import KEYPOINTS73_NAMES, keypoints73, openpose21
 from synthgen.models.mano import ManoModel
 from synthgen.models.mirror import mirror_model, mirror_pose
 from synthgen.models.model import BodyModel, HandSpace, Posed
+from synthgen.models.parts import Part, separate
+from synthgen.models.pose_maps import MappedPose, map_pose
+from synthgen.models.recentre import recentre
 from synthgen.models.surface import Arm, HandSurface, pose_surface
+from synthgen.models.symmetry import Symmetry, symmetry_of
+from synthgen.models.writing import convert
+
+if TYPE_CHECKING:
+    from synthgen.models.as_torch_layer import as_torch
+from synthgen.models.vertex_fit import VertexFit, fit_vertices
 
 __all__ = [
+    "KEYPOINTS73_NAMES",
     "Arm",
     "BodyModel",
     "ConstrainedTree",
     "HandSpace",
     "HandSurface",
     "ManoModel",
+    "MappedPose",
+    "Part",
     "Posed",
+    "Symmetry",
+    "VertexFit",
+    "as_torch",
+    "convert",
+    "fit_vertices",
+    "keypoints73",
     "list_models",
     "load",
+    "load_content",
+    "load_hand",
+    "map_pose",
     "mirror_model",
     "mirror_pose",
     "openpose21",
+    "pca_from_pose",
     "pose_from_pca",
     "pose_surface",
+    "recentre",
+    "separate",
+    "symmetry_of",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Bring in torch only when ``as_torch`` is asked for."""
+    if name == "as_torch":
+        from synthgen.models.as_torch_layer import as_torch
+
+        return as_torch
+    raise AttributeError(f"module 'synthgen.models' has no attribute {name!r}; it has {__all__}")

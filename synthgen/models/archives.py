@@ -87,7 +87,7 @@ def read_bytes_of(path: Path) -> bytes:
         raise ModelError(f"{path}: {error}") from None
 
 
-def npy_value(data: bytes) -> Any:
+def npy_value(data: bytes | memoryview) -> Any:
     """Return what the bytes of a ``.npy`` file hold.
 
     Raises
@@ -97,13 +97,17 @@ def npy_value(data: bytes) -> Any:
     """
     dtype, shape, fortran, start = _header(data)
     if dtype == "O":
-        value = unpickled(data, start)
+        value = unpickled(bytes(data), start)
         return value[0] if shape == () and isinstance(value, list) and len(value) == 1 else value
     return _array(data, dtype, shape, fortran, start)
 
 
 def _array(
-    data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], fortran: bool, start: int
+    data: bytes | memoryview,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    fortran: bool,
+    start: int,
 ) -> NDArray[Any]:
     wanted = math.prod(shape) * dtype.itemsize
     if wanted != len(data) - start:
@@ -111,12 +115,21 @@ def _array(
             f"an array declares shape {shape} and dtype {dtype}, {wanted} bytes, but "
             f"{len(data) - start} are there"
         )
+    if not wanted:
+        return _empty(dtype, shape)
     array = np.frombuffer(data, dtype=dtype, offset=start, count=math.prod(shape))
     shaped = array.reshape(shape, order="F" if fortran else "C")
     return shaped if dtype.isnative else shaped.astype(dtype.newbyteorder("="))
 
 
-def _header(data: bytes) -> tuple[Any, tuple[int, ...], bool, int]:
+def _empty(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    try:
+        return np.zeros(shape, dtype)
+    except ValueError:
+        raise ModelError(f"an array declares shape {shape}") from None
+
+
+def _header(data: bytes | memoryview) -> tuple[Any, tuple[int, ...], bool, int]:
     """Read dtype ("O" for objects), shape, order and where the content starts."""
     if data[:6] != _MAGIC or len(data) < 12 or data[6] not in (1, 2, 3):
         raise ModelError("a member is no .npy array (its first bytes are not those of one)")
@@ -126,7 +139,7 @@ def _header(data: bytes) -> tuple[Any, tuple[int, ...], bool, int]:
     if size > _MAX_HEADER or start > len(data):
         raise ModelError(f"an array header of {size} bytes; at most {_MAX_HEADER} are read")
     try:
-        header = ast.literal_eval(data[start - size : start].decode("utf-8").strip())
+        header = ast.literal_eval(bytes(data[start - size : start]).decode("utf-8").strip())
     except (ValueError, SyntaxError, RecursionError, MemoryError, TypeError):
         raise ModelError("an array header is not readable") from None
     if not isinstance(header, dict) or set(header) != {"descr", "fortran_order", "shape"}:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # A matrix farther from a rotation than this is refused: single precision rounds to 1e-7.
 _ROTATION_ERROR = 1e-4
+# Far beyond any pose, shape or place; powers of much larger numbers overflow.
+_LARGEST = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,7 @@ def checked(
     pose: Any,
     translation: Any = None,
     expression: Any = None,
+    *,
     flat_hand_mean: bool | None = None,
 ) -> Arguments:
     """Check and convert; arguments as ``BodyModel.evaluate``.
@@ -68,7 +71,9 @@ def checked(
     moved = np.zeros((n, 3)) if translation is None else np.asarray(translation, dtype=np.float64)
     if moved.shape != (n, 3):
         raise ShapeError(f"translation has shape {moved.shape}; expected ({n}, 3)")
-    _check_finite(moved, "translation")
+    _check_sizes(("pose", theta), ("shape", betas), ("translation", moved), ("expression", psi))
+    if theta.ndim == 4:
+        _check_rotations(theta)
     return Arguments(betas, theta, moved, psi)
 
 
@@ -86,14 +91,16 @@ def _check_pose(model: BodyModel, theta: Array) -> None:
             f"pose has shape {theta.shape}; expected (B, {k}, 3) axis-angle or (B, {k}, 3, 3) "
             "rotation matrices; for PCA coefficients say flat_hand_mean=True or False"
         )
-    _check_finite(theta, "pose")
-    if theta.ndim == 4 and len(theta):
-        error = np.abs(theta @ np.swapaxes(theta, -1, -2) - np.eye(3)).max()
-        if error > _ROTATION_ERROR or np.linalg.det(theta).min() < 0:
-            raise ShapeError(
-                f"pose holds a matrix that is no rotation (R R' is {error:.2g} off the identity, "
-                f"lowest determinant {np.linalg.det(theta).min():.3g}); orthonormalise it first"
-            )
+
+
+def _check_rotations(matrices: Array) -> None:
+    error = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(initial=0.0)
+    lowest = np.linalg.det(matrices).min(initial=1.0)
+    if error > _ROTATION_ERROR or lowest < 0:
+        raise ShapeError(
+            f"pose holds a matrix that is no rotation (R R' is {error:.2g} off the identity, "
+            f"lowest determinant {lowest:.3g}); orthonormalise it first"
+        )
 
 
 def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: str) -> Array:
@@ -103,11 +110,20 @@ def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: st
             f"{what} is {values.shape}; model {name!r} expected ({n}, {count}) with "
             f"{count} <= {most}, one row per pose"
         )
-    _check_finite(values, what)
     return values
 
 
-def _check_finite(values: Array, what: str) -> None:
-    finite = np.isfinite(values)
-    if not finite.all():
-        raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")
+def _check_sizes(*named: tuple[str, Array]) -> None:
+    from synthgen.models.kernels import within
+
+    if within(_LARGEST, *(values.ravel() for _, values in named)):
+        return
+    for what, values in named:
+        finite = np.isfinite(values)
+        if not finite.all():
+            raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")
+        largest = np.abs(values).max(initial=0.0)
+        if largest > _LARGEST:
+            raise ShapeError(
+                f"{what} holds {largest:.3g}, which would overflow; expected radians or metres"
+            )

@@ -70,11 +70,11 @@ class ConstrainedTree:
         if missing:
             raise ModelError(f"axis_meta has no {', '.join(missing)}; needed are {META_KEYS}")
         ids = {key: _ids(meta[key], key) for key in META_KEYS if key != "axis"}
-        axes = np.asarray(meta["axis"], dtype=np.float64).reshape(-1, 3)
+        axes = _axes(meta["axis"])
         axes = axes[_within(ids["axis_indx"], len(axes), "axis_indx")]
         tree = ConstrainedTree(
-            n_pose=int(ids["num_pose"].reshape(-1)[0]),
-            spherical=ids["indx_spherical"].reshape(-1, 3),
+            n_pose=_single(ids["num_pose"], "num_pose"),
+            spherical=_threes(ids["indx_spherical"], "indx_spherical"),
             hinge=ids["indx_hinge"].ravel(),
             double_first=ids["indx_double_hinge1"].ravel(),
             double_second=ids["indx_double_hinge2"].ravel(),
@@ -143,6 +143,27 @@ def _ids(value: Any, key: str) -> Ids:
     if array.dtype.kind not in "iuf" or np.any(array != np.round(array)):
         raise ModelError(f"axis_meta: {key} holds {array.dtype}; expected whole numbers")
     return array.astype(np.int64)
+
+
+def _axes(value: Any) -> Array:
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or array.ndim < 2 or array.shape[-1] != 3:
+        raise ModelError(f"axis_meta: axis is {array.dtype}{array.shape}; expected (1, A, 3)")
+    if not np.isfinite(array).all():
+        raise ModelError("axis_meta: axis must be finite; it holds NaN or infinity")
+    return array.astype(np.float64).reshape(-1, 3)
+
+
+def _single(ids: Ids, key: str) -> int:
+    if ids.size != 1:
+        raise ModelError(f"axis_meta: {key} holds {ids.size} numbers; expected one")
+    return int(ids.ravel()[0])
+
+
+def _threes(ids: Ids, key: str) -> Ids:
+    if ids.size and ids.shape[-1] != 3:
+        raise ModelError(f"axis_meta: {key} is {ids.shape}; expected threes, (S, 3)")
+    return ids.reshape(-1, 3)
 
 
 def _within(ids: Ids, n: int, key: str) -> Ids:

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from synthgen.models.packed import Packed
 
 Array = NDArray[np.float64]
-CHUNK = 64
+# Samples in one matrix product. A basis beyond the caches is read once a chunk, so that chunks
+# are large; otherwise they are small, because fresh memory costs more than arithmetic.
+_CHUNK, _SMALL_CHUNK, _CACHED_BYTES = 256, 64, 4 * 2**20
+# From this many samples on, vectorising over samples beats going through them one by one.
+_TILED_FROM = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +53,10 @@ def evaluate(
     model: BodyModel, shape: Any, pose: Any, translation: Any, expression: Any, flat: bool | None
 ) -> Posed:
     """Evaluate a batch; see ``BodyModel.evaluate``."""
-    given = checked(model, shape, pose, translation, expression, flat)
+    given = checked(model, shape, pose, translation, expression, flat_hand_mean=flat)
     packed = model.packed
     skeleton = pose_skeleton(model, given, packed)
-    vertices, _ = pose_vertices(packed, skeleton, given.translation)
+    vertices = pose_vertices(packed, skeleton, given.translation)
     return Posed(
         vertices=vertices,
         joints=skeleton.transforms[..., :3, 3].astype(np.float32),
@@ -64,7 +68,7 @@ def evaluate_joints(
     model: BodyModel, shape: Any, pose: Any, translation: Any, expression: Any, flat: bool | None
 ) -> NDArray[np.float32]:
     """Evaluate joints alone; see ``BodyModel.evaluate_joints``."""
-    given = checked(model, shape, pose, translation, expression, flat)
+    given = checked(model, shape, pose, translation, expression, flat_hand_mean=flat)
     skeleton = pose_skeleton(model, given, model.packed)
     return skeleton.transforms[..., :3, 3].astype(np.float32)
 
@@ -87,29 +91,63 @@ def pose_skeleton(model: BodyModel, given: Arguments, packed: Packed) -> Skeleto
     return Skeleton(coefficients, rotations, features, joints, transforms, skin)
 
 
-def pose_vertices(
-    packed: Packed, skeleton: Skeleton, translation: Array
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return posed vertices (B, V, 3) and the corrected rest planes (b, 3, V) of the last chunk.
-
-    Batches go through in chunks, so that the planes of one stay in the cache.
-    """
-    n, v, dtype = len(skeleton.skin), len(packed.weights), packed.basis.dtype
-    features = skeleton.features.reshape(n, skeleton.features[0].size if n else 0).astype(dtype)
-    rows = [features[:, packed.dense], skeleton.coefficients.astype(dtype)]
-    coefficients = np.concatenate(rows, axis=1)
-    basis, moved = packed.basis[: coefficients.shape[1]], translation.astype(dtype)
-    planes, vertices = np.empty((min(n, CHUNK), 3, v), dtype), np.empty((n, v, 3), dtype)
-    runs = packed.runs
-    for part in (slice(k, min(k + CHUNK, n)) for k in range(0, n, CHUNK)):
-        planes = planes[: part.stop - part.start]
-        np.matmul(coefficients[part], basis, out=planes.reshape(len(planes), 3 * v))
-        kernels.skin_vertices(
-            planes, features[part], runs.start, runs.feature, runs.offset, runs.values,
-            skeleton.skin[part], packed.joint_ids, packed.weights, packed.excess, moved[part],
-            vertices[part],
+def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDArray[Any]:
+    """Return posed vertices (B, V, 3)."""
+    n, v = len(skeleton.skin), len(packed.weights)
+    rows, features, moved = basis_coefficients(packed, skeleton, translation)
+    out = np.empty((n, 3 * v), packed.basis.dtype)
+    if n < _TILED_FROM:
+        points = rows @ packed.basis[: rows.shape[1]]
+        skin_part(kernels.skin_samples, packed, points, features, skeleton.skin, moved, out)
+        return out.reshape(n, v, 3)
+    size = min(n, _SMALL_CHUNK if packed.basis.nbytes < _CACHED_BYTES else _CHUNK)
+    scratch = np.empty(3 * v * (size + kernels.TILE), packed.basis.dtype)
+    for k in range(0, n, size):
+        part = slice(k, min(k + size, n))
+        points = _tiled_points(packed, rows[part], scratch)
+        skin_part(
+            kernels.skin_tiles, packed, points, features[part], skeleton.skin[part], moved[part],
+            out[part],
         )  # fmt: skip
-    return vertices, planes
+    return out.reshape(n, v, 3)
+
+
+def basis_coefficients(
+    packed: Packed, skeleton: Skeleton, translation: Array
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return what multiplies the basis' first rows (B, r), pose features (B, K q), shift (B, 3).
+
+    All in the type of the packed bases.
+    """
+    n, k, q = skeleton.features.shape
+    dtype, used = packed.basis.dtype, len(packed.dense) + skeleton.coefficients.shape[1]
+    rows, features = np.empty((n, used), dtype), np.empty((n, k * q), dtype)
+    moved = np.empty((n, 3), dtype)
+    kernels.assemble(
+        skeleton.features.reshape(n, k * q), skeleton.coefficients, packed.dense, translation,
+        rows, features, moved,
+    )  # fmt: skip
+    return rows, features, moved
+
+
+def skin_part(
+    kernel: Any, packed: Packed, points: NDArray[Any], features: NDArray[Any],
+    skin: NDArray[Any], moved: NDArray[Any], out: NDArray[Any],
+) -> None:  # fmt: skip
+    """Run a skinning kernel on rest points by the dense bases -> out (B, 3 V)."""
+    runs = packed.runs
+    kernel(
+        points, features, runs.start, runs.feature, runs.offset, runs.values, skin,
+        packed.joint_ids, packed.weights, packed.excess, moved, out,
+    )  # fmt: skip
+
+
+def _tiled_points(packed: Packed, rows: NDArray[Any], scratch: NDArray[Any]) -> NDArray[Any]:
+    """Rest points (3 V, C) by the dense bases, C filled up to whole tiles."""
+    basis = packed.basis[: rows.shape[1]]
+    filled = np.pad(rows, ((0, -len(rows) % kernels.TILE), (0, 0)))
+    points = scratch[: basis.shape[1] * len(filled)].reshape(basis.shape[1], len(filled))
+    return np.matmul(basis.T, filled.T, out=points)
 
 
 def _coefficients(model: BodyModel, given: Arguments, joint_basis: Array) -> tuple[Array, Array]:

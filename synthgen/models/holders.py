@@ -112,7 +112,7 @@ def _table() -> dict[tuple[str, str], Token]:
         table[copy, "_reconstructor"] = Token("reconstructor")
         table[copy, "__newobj__"] = Token("newobj")
     for builtins in ("__builtin__", "builtins"):
-        for kind in ("object", "set", "frozenset", "dict", "list"):
+        for kind in ("object", "set", "frozenset", "dict", "list", "bytes"):
             table[builtins, kind] = Token(kind)
     for kind in ("Select", "transpose", "reshape", "Reshape"):
         table["chumpy.reordering", kind] = Token(f"chumpy {kind.lower()}")
@@ -208,6 +208,11 @@ def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     return text.encode("latin1")
 
 
+def _no_bytes() -> bytes:
+    """Return the data of an empty array, which old protocols write as a call."""
+    return b""
+
+
 def _list(items: Any = ()) -> list[Any]:
     if not isinstance(items, list | tuple | set):
         raise ModelError("a set or list in the file has no items")
@@ -235,4 +240,5 @@ _STEPS: Final[dict[str, Any]] = {
     "reconstruct": _reconstruct, "dtype": _dtype, "scalar": _scalar, "frombuffer": _frombuffer,
     "reconstructor": _reconstructor, "newobj": new, "encode": _encode, "dict": _dict,
     "set": _list, "frozenset": _list, "list": _list,
+    "bytes": _no_bytes,
 }  # fmt: skip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from synthgen.models.holders import ArrayHolder, DtypeHolder, Holder, Token
 
 MAX_DEPTH = 8
 MAX_DIMENSIONS = 4
+MAX_ITEMS = 10**6
 
 
 class Budget:
@@ -60,39 +63,58 @@ def plain(value: Any, budget: Budget) -> Any:
     return _Reader(budget).read(value, 0)
 
 
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """A value, its result, and what the result would be with every reference followed."""
+
+    value: Any
+    result: Any
+    height: int
+    items: int
+
+
 class _Reader:
     """One pass over the values; what was read once is not read (nor paid for) again."""
 
     def __init__(self, budget: Budget) -> None:
         self.budget = budget
-        self.known: dict[int, tuple[Any, Any]] = {}
+        self.known: dict[int, _Read] = {}
 
     def read(self, value: Any, depth: int) -> Any:
-        if depth > MAX_DEPTH:
-            raise ModelError(f"nested deeper than {MAX_DEPTH} levels; no model file is")
-        if isinstance(value, Holder | list | tuple | dict):
-            kept = self.known.get(id(value))
-            if kept is None:  # the value is kept too: its id must not be given to another
-                kept = self.known[id(value)] = (value, self._read(value, depth + 1))
-            return kept[1]
+        return self._extent(value, depth).result
+
+    def _extent(self, value: Any, depth: int) -> _Read:
         if isinstance(value, Token):
             raise ModelError(f"holds a class ({value.kind}) where a value should be")
-        return bytes(value) if isinstance(value, memoryview) else value
+        if not isinstance(value, Holder | list | tuple | dict):
+            return _Read(value, bytes(value) if isinstance(value, memoryview) else value, 0, 1)
+        if depth > MAX_DEPTH:
+            raise ModelError(f"nested deeper than {MAX_DEPTH} levels; no model file is")
+        known = self.known.get(id(value))
+        if known is None:  # the value is kept too: its id must not be given to another
+            known = self.known[id(value)] = self._read(value, depth + 1)
+        if known.height > MAX_DEPTH or known.items > MAX_ITEMS:
+            raise ModelError(
+                f"nested deeper than {MAX_DEPTH} levels, or lists of more than {MAX_ITEMS} items; "
+                "no model file has them"
+            )
+        return known
 
-    def _read(self, value: Any, depth: int) -> Any:
+    def _read(self, value: Any, depth: int) -> _Read:
         if isinstance(value, dict):
-            return {key: self.read(item, depth) for key, item in value.items()}
+            parts = {key: self._extent(item, depth) for key, item in value.items()}
+            return _over(value, {k: part.result for k, part in parts.items()}, parts.values())
         if isinstance(value, list | tuple):
-            return [self.read(item, depth) for item in value]
+            inner = [self._extent(item, depth) for item in value]
+            return _over(value, [part.result for part in inner], inner)
         if isinstance(value, ArrayHolder):
             return self._array(value, depth)
         if isinstance(value, DtypeHolder) or not isinstance(value.state, dict):
             raise ModelError(f"a {value.kind} in the file has no content")
-        if value.kind.startswith("sparse "):
-            return self._sparse(value, depth)
-        return self._chumpy(value, depth)
+        form = self._sparse if value.kind.startswith("sparse ") else self._chumpy
+        return _Read(value, form(value, depth), 0, 1)
 
-    def _array(self, holder: ArrayHolder, depth: int) -> Any:
+    def _array(self, holder: ArrayHolder, depth: int) -> _Read:
         if holder.state is None:
             raise ModelError("an array in the file has no content")
         shape, dtype, fortran, data = holder.state
@@ -100,7 +122,7 @@ class _Reader:
             raise ModelError("an array in the file has no dtype")
         shape = _shape(shape, "an array")
         if dtype.holds_objects:
-            return self._objects(shape, data, depth)
+            return self._objects(holder, shape, data, depth)
         raw = data.encode("latin1") if isinstance(data, str) else data
         kind = dtype.numpy()
         if not isinstance(raw, bytes | memoryview):
@@ -110,19 +132,20 @@ class _Reader:
                 f"an array of shape {shape} and dtype {kind} has {len(raw)} bytes, which does "
                 "not match its bytes"
             )
-        flat = np.frombuffer(raw, dtype=kind)
+        flat = np.frombuffer(raw, dtype=kind) if len(raw) else np.zeros(0, dtype=kind)
         shaped = flat.reshape(shape, order="F" if fortran else "C")
         if kind.isnative:
-            return shaped
+            return _Read(holder, shaped, 0, 1)
         self.budget.spend(flat.nbytes, "an array of foreign byte order")
-        return shaped.astype(kind.newbyteorder("="))
+        return _Read(holder, shaped.astype(kind.newbyteorder("=")), 0, 1)
 
-    def _objects(self, shape: tuple[int, ...], data: Any, depth: int) -> Any:
+    def _objects(self, holder: Holder, shape: tuple[int, ...], data: Any, depth: int) -> _Read:
         """Return an array of objects as a list, or the object of one without dimensions."""
         if not isinstance(data, list) or len(data) != math.prod(shape) or len(shape) > 1:
             raise ModelError(f"an array of objects of shape {shape} has no such items")
-        items = [self.read(item, depth) for item in data]
-        return items if shape else items[0]
+        inner = [self._extent(item, depth) for item in data]
+        items = [part.result for part in inner]
+        return _over(holder, items if shape else items[0], inner)
 
     def _chumpy(self, holder: Holder, depth: int) -> NDArray[Any]:
         state = holder.state
@@ -178,6 +201,13 @@ class _Reader:
         dense = np.zeros(shape)
         np.add.at(dense, (row, column), values)
         return dense
+
+
+def _over(value: Any, result: Any, parts: Iterable[_Read]) -> _Read:
+    height, items = 0, 1
+    for part in parts:
+        height, items = max(height, part.height), items + part.items
+    return _Read(value, result, height + 1, items)
 
 
 def _unrolled(pointer: NDArray[np.int64], n: int) -> NDArray[np.int64]:

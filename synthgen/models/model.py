@@ -22,6 +22,7 @@ Joint names: fingers of a hand model are ``index1`` .. ``thumb3``; on a body the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,6 +35,7 @@ from synthgen.models.constrained import Constrained, ConstrainedTree
 if TYPE_CHECKING:
     from synthgen.models.jacobian import Jacobian
     from synthgen.models.packed import Packed
+    from synthgen.models.row_bases import RowBases
 
 Array = NDArray[np.float64]
 Hand = Literal["left", "right"]
@@ -108,6 +110,13 @@ class BodyModel:
     fingertip_ids : (5,) int64, bodies (10,), else (0,)
         Thumb, index, middle, ring, pinky (bodies: left, then right); ``fingertip_set`` names the
         choice.
+    landmark_ids : (11,) int64, else (0,)
+        Vertices of a whole body's nose, eyes, ears, toes and heels, in the order of
+        ``joints.LANDMARK_NAMES``.
+    vert_sym_idxs : (V,) int64 or None
+        Mirror image of each vertex, where the file says so.
+    part_ids : mapping of str to (n,) int64
+        Vertices of "head", "left_hand", ..., where the file names them (``part_*``).
     axis_meta : ConstrainedTree or None
         Given: the pose is (B, P) angles.
     constrained : "official" or "consistent"
@@ -139,6 +148,9 @@ class BodyModel:
     hands_right: HandSpace | None = None
     fingertip_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fingertip_set: str = ""
+    landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    vert_sym_idxs: NDArray[np.int64] | None = None
+    part_ids: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     axis_meta: ConstrainedTree | None = None
     constrained: Constrained = "official"
     provenance: str = ""
@@ -147,12 +159,12 @@ class BodyModel:
     @property
     def n_shape(self) -> int:
         """Shape coefficients (nb)."""
-        return self.shapedirs.shape[2]
+        return int(self.shapedirs.shape[2])
 
     @property
     def n_expression(self) -> int:
         """Expression coefficients (ne), 0 where the model has none."""
-        return 0 if self.exprdirs is None else self.exprdirs.shape[2]
+        return 0 if self.exprdirs is None else int(self.exprdirs.shape[2])
 
     @property
     def n_pose(self) -> int:
@@ -280,3 +292,10 @@ class BodyModel:
         from synthgen.models.packed import pack
 
         return pack(self, np.float64)
+
+    @cached_property
+    def row_bases(self) -> RowBases:
+        """Bases by vertex, made on first use (for the Jacobian)."""
+        from synthgen.models.row_bases import row_bases
+
+        return row_bases(self)

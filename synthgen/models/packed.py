@@ -1,4 +1,4 @@
-"""A model's bases as the kernels want them: planes x | y | z, few weights, zeros left out.
+"""A model's bases as the kernels want them: one row per coefficient, few weights, no zeros.
 
 * Shape, expression and densely active correctives are the rows of one matrix, so that the posed
   template of a batch is one product.
@@ -55,13 +55,14 @@ class Packed:
     Attributes
     ----------
     basis : (R, 3 V)
-        Rows: dense pose features, template, shape, expression; columns: x, then y, then z.
+        Rows: dense pose features, template, shape, expression; columns: x y z of each vertex.
     dense : (nd,) int64
         Columns of the (K q) joint features that the first rows belong to.
     runs : Runs
         Sparse correctives.
     joint_ids : (V, k) int32, weights : (V, k)
-        The k largest weights of each vertex, k the largest number of nonzero ones.
+        The largest weights of each vertex, in descending order; k is the largest number of
+        nonzero ones, up to the next multiple of four.
     excess : (V,)
         Sum of a vertex's weights minus 1, zero in a well-made file.
     joint_basis : (1 + nb + ne, 3 K) float64
@@ -102,13 +103,14 @@ def pack(model: BodyModel, dtype: type[np.float32] | type[np.float64]) -> Packed
     if model.exprdirs is not None:
         rows.append(model.exprdirs)
     ids, weights = largest_weights(model.weights)
+    fill = ((0, 0), (0, -ids.shape[1] % 4))
     excess = model.weights.sum(axis=1) - 1
     return Packed(
-        basis=np.concatenate([_planes(r, dtype) for r in rows]),
+        basis=np.concatenate([_flat(r, dtype) for r in rows]),
         dense=columns + first * q,
         runs=_runs(correctives, active & ~dense, first, dtype),
-        joint_ids=ids,
-        weights=weights.astype(dtype),
+        joint_ids=np.pad(ids, fill),
+        weights=np.pad(weights, fill).astype(dtype),
         excess=np.where(np.abs(excess) < _UNIT_SUM, 0, excess).astype(dtype),
         joint_basis=fold_joints(model).reshape(-1, 3 * k),
         parents=model.parents,
@@ -149,10 +151,9 @@ def shape_directions(model: BodyModel) -> Array:
     return directions
 
 
-def _planes(basis: Array, dtype: Any) -> NDArray[Any]:
+def _flat(basis: Array, dtype: Any) -> NDArray[Any]:
     """(V, 3, n) -> (n, 3 V)."""
-    planes = np.ascontiguousarray(basis.transpose(2, 1, 0).astype(dtype))
-    return planes.reshape(basis.shape[2], 3 * len(basis))
+    return np.ascontiguousarray(basis.reshape(3 * len(basis), basis.shape[2]).T, dtype)
 
 
 def _runs(correctives: Array, active: NDArray[np.bool_], first: int, dtype: Any) -> Runs:

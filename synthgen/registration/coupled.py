@@ -185,11 +185,12 @@ def _follow(placed: Placed, free: Array, coupling: EdgeCoupling, priors: Sequenc
         for block in term.blocks(placed, term.match(placed)):
             hessian += block.rows.T @ (block.weight[:, None] * block.rows)
             gradient += block.rows.T @ (block.weight * block.residual)
-    hessian[:3, :3] += np.eye(3) * hessian.diagonal().max()  # edges cannot see translation
+    at = np.arange(placed.surface.translation.start, placed.surface.translation.stop)
+    hessian[at, at] += hessian.diagonal().max()  # edges cannot see translation
     step = -np.linalg.solve(hessian + 1e-9 * np.diag(hessian.diagonal()), gradient)
-    step[:3] = 0
+    step[at] = 0
     x = placed.x + step
     moved = placed.surface.at(x)
     x = x.copy()
-    x[:3] += (free - moved.vertices).mean(axis=0)
+    x[at] += (free - moved.vertices).mean(axis=0)
     return placed.surface.at(x)

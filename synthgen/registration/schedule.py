@@ -156,7 +156,9 @@ def stage_terms(
 
 def rigid_basis(surface: Surface) -> Array:
     """Directions (n, 7) of translation, rotation and the first beta."""
-    return np.eye(surface.n)[:, [*range(6), surface.shape.start]]
+    root, at = surface.root.start, surface.translation.start
+    free = [surface.shape.start, *range(root, root + 3), *range(at, at + 3)]
+    return np.eye(surface.n)[:, free]
 
 
 def pca_basis(surface: Surface, components: int) -> Array:

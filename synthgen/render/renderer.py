@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import Camera
-from synthgen.models import ManoModel, Posed, load, openpose21, pose_surface
+from synthgen.models import ManoModel, Posed, load_hand, openpose21, pose_surface
 from synthgen.render import backend
 from synthgen.render.labels import Labels, label_view
 from synthgen.render.sensor import develop
@@ -103,7 +103,7 @@ class Renderer:
 
     def _upload(self, spec: SampleSpec) -> tuple[LiveScene, list[Posed]]:
         scene = spec.scene
-        models = tuple(load(s.model, hand=s.hand) for s in scene.subjects)
+        models = tuple(load_hand(s.model, hand=s.hand) for s in scene.subjects)
         first = scene.cameras[0]
         key = (tuple((m.digest, m.hand) for m in models), len(scene.lights.area), first.width,
                first.height)  # fmt: skip

@@ -12,7 +12,7 @@ from synthgen.config import Config
 from synthgen.errors import SamplingError
 from synthgen.geometry.cameras import Camera
 from synthgen.geometry.rotations import axis_angle_from_matrix
-from synthgen.models import ManoModel, load, pose_surface
+from synthgen.models import ManoModel, load_hand, pose_surface
 from synthgen.sampling import lighting, orientation, placement
 from synthgen.sampling.appearance import sample_skin
 from synthgen.sampling.hand_pose import prior_of, sample_hand_pose
@@ -92,7 +92,7 @@ def _side(config: Config, rng: np.random.Generator) -> Hand:
 def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
     count = config.subjects.count
     subject_id = index if count is None else int(rng.integers(count))
-    n_betas = load(config.model.name, hand="right").shapedirs.shape[2]
+    n_betas = load_hand(config.model.name, hand="right").shapedirs.shape[2]
     shape = sample_shape(
         n_betas,
         sigma=config.shape.sigma,
@@ -109,7 +109,7 @@ def _pose(
     config: Config, shape: Array, index: int, rng: np.random.Generator
 ) -> tuple[Array, str, float]:
     """Draw right-hand poses until one penetrates itself less than the limit."""
-    model = load(config.model.name, hand="right")
+    model = load_hand(config.model.name, hand="right")
     limits, probe = limits_of(model), probe_of(model)
     settings = config.pose
     prior = None
@@ -142,7 +142,7 @@ def _place(
     The hand keeps its turn to the camera while cameras and arms are tried, so that rejections do
     not colour the distribution of turns; only a turn that fails for long is drawn again.
     """
-    model = load(config.model.name, hand=hand)
+    model = load_hand(config.model.name, hand=hand)
     turn, look, arms = streams("orientation"), streams("camera"), streams("arm")
     seen_from = _orientation(config, hand, turn)
     centre = np.array([0.0, 1.25, 0.0]) + look.uniform(-0.2, 0.2, 3)

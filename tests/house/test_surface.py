@@ -35,7 +35,10 @@ _CONFIG = ["CONFIG"]
 VERBS = {
     "doctor": ["--json"],
     "models list": ["--json"],
-    "models show": ["NAME", "--hand", "--json"],
+    "models show": [
+        "NAME", "--hand", "--mano", "--official-left-shape", "--picture", "--json",
+    ],
+    "models convert": ["SRC", "DST", "--mano", "--json"],
     "models build": ["NAME", "--source", "--out", "--json"],
     "config schema": ["--json"],
     "config show": ["CONFIG", "--set", "--json"],
