@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from synthgen import config, corpus, geometry, models, sampling, scene, verify
+    from synthgen import config, corpus, geometry, models, registration, sampling, scene, verify
     from synthgen.corpus import open_corpus
 
 __version__ = "0.1.0"
@@ -25,6 +25,7 @@ __all__ = [
     "geometry",
     "models",
     "open_corpus",
+    "registration",
     "sampling",
     "scene",
     "verify",

@@ -188,7 +188,8 @@ class _Request:
 
 def _right(model: BodyModel) -> ManoModel:
     if not isinstance(model, ManoModel):
-        raise ModelError(f"model {model.name!r} is no hand in MANO form; fit takes hands")
+        name = getattr(model, "name", model)
+        raise ModelError(f"model {name!r} is no hand in MANO form; fit takes hands")
     return mirror_model(model) if model.hand == "left" else model
 
 

@@ -256,6 +256,8 @@ def check_image(measure: Any, sample: Sample, view: View) -> None:
     if min(_redness(sample)) > 1.1:
         measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
     measure("stale image", -_edge_gain(view), -1.15, "no edge where the hand's outline is")
+    mirrored = _mirrored_gain(view)
+    measure("mirrored image", mirrored, 1.0, "edges follow the mirrored outline, not the outline")
 
 
 def _redness(sample: Sample) -> list[float]:
@@ -277,6 +279,14 @@ def _edge_gain(view: View) -> float:
         for shift in ((24, 0), (-24, 0), (0, 24), (0, -24))
     ]
     return float(here / max(float(np.median(moved)), 1e-6))
+
+
+def _mirrored_gain(view: View) -> float:
+    """Image contrast across the mirrored outline over that across the outline."""
+    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
+    outline = np.argwhere(_edges(view.instance_id.astype(np.int64)))
+    flipped = np.stack([outline[:, 0], grey.shape[1] - outline[:, 1]], axis=1)
+    return _contrast(grey, flipped) / max(_contrast(grey, outline), 1e-6)
 
 
 def _contrast(grey: Array, where: NDArray[np.int64]) -> float:

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.corpus import Corpus, open_corpus
-from synthgen.corpus.sample import Sample, View
+from synthgen.corpus.sample import Sample, Subject, View
+from synthgen.models import pose_surface
 from synthgen.registration.simulated import ScanSettings, simulate_scan
 from synthgen.sampling.streams import stream
+from synthgen.scene.surface import DrawnSurface
 from synthgen.verify.checks import check_view
 from synthgen.verify.faults import FAULTS, NEXT_LABEL, Fault
 from synthgen.verify.report import VerifyReport
@@ -48,6 +50,7 @@ WITNESSES = {
     "normals": "differences of the depth map",
     "skin hue": "colour of skin under the recorded light",
     "stale image": "edges of the picture",
+    "mirrored image": "edges of the picture",
     "round trip": "registration from the stored points alone",
     "readable": "the decoder",
 }
@@ -205,11 +208,30 @@ def _scanned(sample: Sample, clean: Sample, fault: Fault | None) -> Sample:
         truth = clean.subjects[0]
         rng = stream(0, "sample", clean.index, 0, "self test scan")
         settings = ScanSettings(points=12_000, outliers=0.0, pixels=150)
-        points, normals, _ = simulate_scan(truth.vertices, truth.loaded.faces, settings, rng=rng)
+        vertices, faces = _drawn(truth)
+        points, normals, _ = simulate_scan(vertices, faces, settings, rng=rng)
         scan = _StandIn(points, normals)
     if fault is not None and fault.points is not None:
         scan = _StandIn(*fault.points(np.asarray(scan.vertices), np.asarray(scan.normals)))
     return replace(sample, scan=scan)
+
+
+def _drawn(truth: Subject) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the hand as it is drawn, without its arm."""
+    drawn = DrawnSurface.for_model(truth.loaded)
+    s = truth.description
+    surface, _ = pose_surface(
+        truth.loaded,
+        truth.shape,
+        truth.pose,
+        truth.translation,
+        np.array(s.wrist),
+        np.array(s.elbow),
+    )
+    children = len(drawn.refined_faces) // len(truth.loaded.surface.faces)
+    faces = drawn.refined_faces[: children * len(truth.loaded.faces)]
+    used, own = np.unique(faces, return_inverse=True)
+    return drawn.refine(surface)[used], own.reshape(-1, 3)
 
 
 def _round_trip(sample: Sample) -> str:

@@ -16,7 +16,8 @@ from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
 
 TOP = [
-    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scene",
+    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "registration",
+    "sampling", "scene",
     "verify",
 ]  # fmt: skip
 MODELS = {"ManoModel", "Posed", "list_models", "load"}
@@ -47,7 +48,12 @@ VERBS = {
         "CONFIG", "--out", "--samples", "--seed", "--workers", "--shards", "--set", "--json",
     ],
     "show": ["DIR", "--sample", "--remake", "--json"],
-    "verify": ["DIR", "--samples", "--report", "--json"],
+    "verify": ["DIR", "--samples", "--start", "--report", "--self-test", "--json"],
+    "fit": [
+        "SCAN...", "--out", "--model", "--hand", "--start", "--coupled", "--preset", "--units",
+        "--sequence", "--json",
+    ],
+    "train-init": ["MODEL", "--out", "--seconds", "--hands", "--json"],
     "preview": ["DIR", "--out", "--json"],
     "bench": ["NAME", "--report", "--json"],
 }  # fmt: skip
