@@ -93,43 +93,33 @@ def fit(
     curved: float = 0.0,
     seed: int = 0,
 ) -> Fit:
-    """Fit a hand model to points.
+    """Fit a hand model to points; a scan that cannot be fitted is a fail with its reason.
 
     Parameters
     ----------
-    points : (N, 3) float
-        Metres.
-    normals : (N, 3) float or None
-        Outward; None: estimated.
+    points, normals : (N, 3) float
+        Metres; outward, or None: estimated.
     model : BodyModel
         A hand in MANO form, of either side.
     start : "cold" or (shape, pose, translation)
-        Cold: any rotation, any pose. Given: its rotation is trusted to about 20 degrees, its pose
-        and shape are one hypothesis among typical ones.
+        Given: the rotation is trusted to about 20 degrees, pose and shape are one hypothesis.
     hand : "left", "right", "auto" or None
-        Auto and None: decided by fitting the scan and its mirror image. A wrong side given is a
-        fail ``other_hand``.
+        None is auto: by fitting the scan and its mirror image. A wrong side is ``other_hand``.
     preset : "fast", "accurate" or "paper"
     coupled : bool
         Also free the mesh from the model (``free_vertices``), for detail that the model lacks.
     viewpoints : (C, 3) float or None
         Where the sensors stood; orients estimated normals.
     components : int or None
-        Keep the fingers within that many principal components of the model (6 to 45).
-    keypoints : (ids, positions) or None
-        Known 3-D joints: (m,) joint numbers and (m, 3) metres.
-    pose_prior : (pose, sd_rad) or None
-        A protocol's known pose, (K, 3) axis-angle of the fitted side, and its spread.
+        Keep the fingers within that many principal components of the model (6-45).
+    keypoints : ((m,) joint numbers, (m, 3) metres) or None
+        Known joints.
+    pose_prior : ((K, 3) axis-angle of the fitted side, sd_rad) or None
+        A protocol's known pose.
     curved : float
-        0: the scanned surface is the model's flat triangles; 0.75: it is smooth through the
-        model's vertices, as renderers draw it and as skin is.
+        0: the scanned surface is the model's flat triangles; 0.75: smooth, as renderers draw it.
     seed : int
-        Of the order in which points are looked at.
-
-    Returns
-    -------
-    Fit
-        Always with a verdict; a scan that cannot be fitted is a fail with its reason.
+        Of the order of points.
 
     Raises
     ------
@@ -138,16 +128,30 @@ def fit(
     """
     request = _Request(_right(model), preset, coupled, components, keypoints, pose_prior, curved)
     sides = _sides(hand)
-    own, given, dropped = checked_points(points, normals)
+    begin = _start(request, start)
     with threadpool_limits(limits=1, user_api="blas"):
-        if len(own) < 20:
-            finding = Finding("no_points", f"{len(own)} finite points; a scan has thousands")
-            return _refused(request, finding, sides[0], dropped)
-        scan = scan_of(own, given, viewpoints, seed=seed)
-        problem = inspect(scan, check_normals=given is not None)
-        if problem is not None:
-            return _refused(request, problem, sides[0], dropped)
-        return _fit(request, scan, _start(request, start), sides, dropped)
+        return _checked(request, points, normals, begin, sides, viewpoints, seed)
+
+
+def _checked(
+    request: _Request,
+    points: Any,
+    normals: Any,
+    start: Array | None,
+    sides: tuple[Side, ...],
+    viewpoints: Any,
+    seed: int,
+) -> Fit:
+    """Look at the scan first, then fit it."""
+    own, given, dropped = checked_points(points, normals)
+    if len(own) < 20:
+        finding = Finding("no_points", f"{len(own)} finite points; a scan has thousands")
+        return _refused(request, finding, sides[0], dropped)
+    scan = scan_of(own, given, viewpoints, seed=seed)
+    problem = inspect(scan, check_normals=given is not None)
+    if problem is not None:
+        return _refused(request, problem, sides[0], dropped)
+    return _fit(request, scan, start, sides, dropped)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ REASONS = (
 )
 UNEXPLAINED, RATIO, EXPLAINED = 0.05, 1.17, 0.95
 # Where the model misfits (detail it cannot express), residuals are no longer like noise.
-MISFIT, MISFIT_RATIO = 1.15, 2.0
+MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 SD95_M, SD_PER_NOISE = 6e-4, 0.7
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 
@@ -54,8 +54,10 @@ def sd_limit_m(noise_m: float) -> float:
 
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     """Judge one finished fit."""
+    misfit = s.noise_m > MISFIT * s.local_noise_m
+    ratio, unexplained = (MISFIT_RATIO, MISFIT_UNEXPLAINED) if misfit else (RATIO, UNEXPLAINED)
     bad = [PARTS[k] for k in np.argsort(-np.nan_to_num(s.unexplained))
-           if s.unexplained[k] >= UNEXPLAINED]  # fmt: skip
+           if s.unexplained[k] >= unexplained]  # fmt: skip
     if s.noise_m > NOISE_M:
         return Judgement("fail", "noise_above_spec")
     if s.explained < EXPLAINED or len(bad) > 2:
@@ -66,7 +68,7 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
         return Judgement("fail", "finger_swap", tuple(bad))
     if bad:
         return Judgement("fail", "finger_missed", tuple(bad))
-    if s.ratio >= (MISFIT_RATIO if s.noise_m > MISFIT * s.local_noise_m else RATIO):
+    if s.ratio >= ratio:
         worst = PARTS[int(np.nanargmax(np.nan_to_num(s.p95_m)))]
         return Judgement("fail", "finger_missed", (worst,))
     if np.abs(shape).max() > SHAPE_SD:

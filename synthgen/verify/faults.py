@@ -165,7 +165,8 @@ def _pca_as_angles(view: View) -> None:
         pose = np.array(subject["pose"])
         off = pose[1:].ravel() - _mean_of(subject)[1:].ravel()
         if model.hands_components is not None:
-            off = np.linalg.lstsq(model.hands_components.T, off, rcond=None)[0]
+            solved: Any = np.linalg.lstsq(model.hands_components.T, off, rcond=None)[0]
+            off = np.asarray(solved, dtype=np.float64)
         pose[1:] = off.reshape(15, 3)
         subject["pose"] = pose.tolist()
 

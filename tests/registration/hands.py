@@ -70,4 +70,6 @@ def perturbed(number: int = 7, degrees: float = 12.0) -> tuple[np.ndarray, np.nd
 
 
 def error_mm(vertices: np.ndarray, number: int = 7) -> float:
-    return 1e3 * float(np.linalg.norm(vertices - surface().at(truth(number)).vertices, axis=1).mean())
+    return 1e3 * float(
+        np.linalg.norm(vertices - surface().at(truth(number)).vertices, axis=1).mean()
+    )

@@ -30,7 +30,9 @@ RHO = GemanMcClure(2e-3)
 
 
 def near_truth() -> np.ndarray:
-    return truth() + rng("near").normal(0, 0.02, surface().n) * np.r_[np.ones(58), 0.05 * np.ones(3)]
+    return (
+        truth() + rng("near").normal(0, 0.02, surface().n) * np.r_[np.ones(58), 0.05 * np.ones(3)]
+    )
 
 
 def terms() -> dict[str, Term]:
