@@ -109,7 +109,7 @@ def fit(
     coupled : bool
         Also free the mesh from the model (``free_vertices``), for detail that the model lacks.
     viewpoints : (C, 3) float or None
-        Where the sensors stood; orients estimated normals.
+        Where the sensors stood: what they could not see is not missed; orients estimated normals.
     components : int or None
         Keep the fingers within that many principal components of the model (6-45).
     keypoints : ((m,) joint numbers, (m, 3) metres) or None

@@ -30,6 +30,7 @@ from synthgen.registration.statistics import Statistics, early_explained, statis
 from synthgen.registration.surface import Surface
 from synthgen.registration.terms import MixturePrior, Term, shape_prior
 from synthgen.registration.verdict import Judgement, judge
+from synthgen.registration.visibility import visible_vertices
 
 Array = NDArray[np.float64]
 EARLY, MOST_FINISHES, MOST_RESEEDS, COARSE_POINTS = 0.92, 6, 2, 600
@@ -59,7 +60,6 @@ class Settings:
     preset: Preset
     extra: Sequence[Term] = ()
     basis: Array | None = None
-    visible: NDArray[np.bool_] | None = None
     curved: float = 0.0
 
     def priors(self, weight: float) -> list[Term]:
@@ -187,9 +187,12 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         if settings.preset.own_noise and noise is not None and stage.points >= FINAL.points:
             stage = last_stage(stage, noise)
         began = time.process_time()
+        visible = None
+        if scan.viewpoints is not None and stage.mesh_to_scan > 0:
+            visible = visible_vertices(settings.surface.at(x), scan.viewpoints)
         outcome = run_stage(
             settings.surface, scan, x, stage, settings.priors(stage.prior),
-            method=settings.preset.method, basis=settings.basis, visible=settings.visible,
+            method=settings.preset.method, basis=settings.basis, visible=visible,
             curved=settings.curved,
         )  # fmt: skip
         x = outcome.x
