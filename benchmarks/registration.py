@@ -185,19 +185,21 @@ def adam(cases: list[Case], steps: int) -> list[Any]:
         began = time.process_time()
         scan = scan_of(case.points, case.normals)
         run = _Run(request, scan, "right", _start(request, perturbed(case)))
-        x = torch.tensor(run.vectors[0])
-        optimiser = torch.optim.Adam([x], lr=0.03)
+        scale = np.ones(run.settings.surface.n)
+        scale[run.settings.surface.translation] = 0.02  # metres are large steps
+        y = torch.tensor(run.vectors[0] / scale)
+        optimiser = torch.optim.Adam([y], lr=0.03)
         decay = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.02 ** (1 / steps))
         stages = run.settings.preset.finish[:3]
         for k in range(steps):
             stage = stages[min(3 * k // steps, 2)]
             terms = stage_terms(scan, stage, run.settings.priors(stage.prior))
             energy = Energy(run.settings.surface, terms)
-            gradient = energy.normal_equations(energy.at(x.numpy().copy()))[1]
-            x.grad = torch.from_numpy(gradient)
+            gradient = energy.normal_equations(energy.at(scale * y.numpy()))[1]
+            y.grad = torch.from_numpy(scale * gradient)
             optimiser.step()
             decay.step()
-        vertices = run.settings.surface.at(x.numpy()).vertices
+        vertices = run.settings.surface.at(scale * y.numpy()).vertices
         seconds.append(time.process_time() - began)
         errors.append(1e3 * float(np.linalg.norm(vertices - case.vertices, axis=1).mean()))
     good = sum(e < SUCCESS_MM for e in errors)
