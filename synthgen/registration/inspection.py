@@ -20,7 +20,7 @@ SMALLEST_M, LARGEST_M = 0.055, 0.40
 # A bare hand; used to recognise units.
 USUAL_M = (0.075, 0.27)
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
-LINK_M = 0.015
+LINK_M, TWO_HANDS_M = 0.025, 0.27
 INWARD = -0.15
 
 
@@ -96,7 +96,7 @@ def _pieces(points: Array) -> Finding | None:
     hands = [s for s in sizes if SMALLEST_M < s < LARGEST_M]
     apart = [np.linalg.norm(some[label == k].mean(axis=0) - some[label == large[0]].mean(axis=0))
              for k in large[1:]]  # fmt: skip
-    if len(hands) >= 2 and max(apart) > 0.08:
+    if len(hands) >= 2 and max(apart) > 0.08 and extent(some) > TWO_HANDS_M:
         return Finding("two_hands", f"{len(hands)} hand-sized pieces; fit them one at a time")
     if sizes and max(sizes) > LARGEST_M:
         return Finding("background", f"one piece is {max(sizes):.2f} m across; cut out the hand")

@@ -26,10 +26,10 @@ REASONS = (
     "noise_above_spec",  # points scatter by more than 2 mm
     "truth_mismatch",  # round trip only: the fit is good and the truth is far
 )
-UNEXPLAINED, RATIO, EXPLAINED = 0.05, 1.17, 0.95
+UNEXPLAINED, RATIO, EXPLAINED = 0.035, 1.17, 0.95
 # Where the model misfits (detail it cannot express), residuals are no longer like noise.
 MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
-SD95_M, SD_PER_NOISE = 6e-4, 0.7
+SD95_M, SD_PER_NOISE = 5e-4, 0.7
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 
 
