@@ -1,6 +1,6 @@
 """The round trip: fit the model back to what is stored, and compare with the truth.
 
-``truth_mismatch`` is the alarm: the fit is good and the truth is far, or the stored points do not
+``truth_mismatch`` is the alarm: the fit passes and the truth is far, or the stored points do not
 lie on the true surface. A fit that fails while the truth explains the points is the fitter's
 failure, not the sample's; ``unobserved`` is counted, not failed.
 """
@@ -183,8 +183,8 @@ def judged(index: int, number: int, subject: Subject, stored: StoredPoints, foun
     figures["truth_explains"] = explained
     limit = max(MISMATCH_FLOORS * figures["floor_mm"], 1e3 * MISMATCH_M)
     verdict, reason = found.verdict, found.reason
-    good = verdict != "fail"
-    if good and figures["v2v_seen_mean_mm"] > limit:
+    # an unobserved hand is ambiguous: only the points themselves can contradict its truth
+    if verdict == "pass" and figures["v2v_seen_mean_mm"] > limit:
         reason = f"the fit is good, its seen vertices are {figures['v2v_seen_mean_mm']:.1f} mm off"
         return HandTrip(index, number, "truth_mismatch", reason, stored.source, figures, found,
                         stored.points, truth)  # fmt: skip
