@@ -13,7 +13,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from synthgen import config, corpus, geometry, models, sampling, scanner, scene, verify
+    from synthgen import (
+        config,
+        corpus,
+        geometry,
+        models,
+        registration,
+        sampling,
+        scanner,
+        scene,
+        verify,
+    )
     from synthgen.corpus import open_corpus
 
 __version__ = "0.1.0"
@@ -25,6 +35,7 @@ __all__ = [
     "geometry",
     "models",
     "open_corpus",
+    "registration",
     "sampling",
     "scanner",
     "scene",

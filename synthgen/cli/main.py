@@ -9,7 +9,19 @@ from typing import Annotated, Any
 import typer
 
 from synthgen import __version__
-from synthgen.cli import bench, config, doctor, generate, models, plan, preview, show, verify
+from synthgen.cli import (
+    bench,
+    config,
+    doctor,
+    fit,
+    generate,
+    models,
+    plan,
+    preview,
+    show,
+    train_init,
+    verify,
+)
 from synthgen.cli.output import DONE, WORK_LEFT, WRONG, Result, stdout_kept_clean
 from synthgen.errors import SynthgenError, WorkLeft
 
@@ -31,6 +43,8 @@ app.command("plan")(plan.plan)
 app.command("generate")(generate.generate)
 app.command("show")(show.show)
 app.command("verify")(verify.verify)
+app.command("fit")(fit.fit)
+app.command("train-init")(train_init.train_init)
 app.command("preview")(preview.preview)
 app.command("bench")(bench.bench)
 

@@ -1,18 +1,19 @@
-"""``synthgen verify``: recompute every label that can be recomputed."""
+"""``synthgen verify``: recompute labels, fit the model back, put the checks on trial."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from synthgen.cli.options import CorpusDir, Json
-from synthgen.cli.output import DONE, FAILED, Result
+from synthgen.cli.output import DONE, FAILED, Result, columns
 
 if TYPE_CHECKING:
     from synthgen.verify.report import Failure
+    from synthgen.verify.roundtrip import RoundTrip
 
 SHOWN = 20
 
@@ -20,26 +21,108 @@ Some = Annotated[
     int | None, typer.Option("--samples", metavar="N", min=1, help="Check N samples, spread out.")
 ]
 Report = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE", help="Write the report as JSON.")
+    Path | None,
+    typer.Option(
+        "--report", metavar="FILE", help="Write the report as JSON; --start adds a .html."
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option("--start", metavar="S", help="Also fit the model back, from gt, perturbed, cold."),
+]
+SelfTest = Annotated[
+    bool, typer.Option("--self-test", help="Put every known defect in and see it caught instead.")
 ]
 
 
 def verify(
-    directory: CorpusDir, samples: Some = None, report: Report = None, as_json: Json = False
+    directory: CorpusDir,
+    samples: Some = None,
+    start: Start = None,
+    report: Report = None,
+    self_test: SelfTest = False,
+    as_json: Json = False,
 ) -> Result:
-    """Check hashes and labels of a corpus against the truth it was made from."""
+    """Check a corpus against the truth it was made from; --start adds the round trip."""
+    if self_test:
+        return _self_test(directory, samples, report)
     from synthgen.verify.labels import verify as check
 
     found = check(directory, samples=samples, progress=not as_json)
     payload = found.to_json()
-    if report is not None:
-        report.write_text(json.dumps(payload, indent=2) + "\n", encoding="utf-8")
     lines = [_line(failure) for failure in found.failures[:SHOWN]]
     hidden = len(found.failures) - len(lines)
     lines += [f"... and {hidden} more (--report FILE holds all)"] if hidden > 0 else []
     verdict = "ok" if found.ok else f"{len(found.failures)} failures"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
+    good = found.ok
+    if start is not None:
+        trip = _round_trip(directory, samples, start, report, not as_json)
+        payload["round_trip"] = trip.to_json()
+        payload["ok"] = good = good and trip.ok
+        lines += _trip_lines(trip)
+    _save(report, payload)
+    return Result(payload, lines, DONE if good else FAILED)
+
+
+def _round_trip(
+    directory: Path, samples: int | None, start: str, report: Path | None, progress: bool
+) -> RoundTrip:
+    from synthgen.verify.roundtrip import round_trip
+    from synthgen.verify.roundtrip_page import write_page
+
+    trip = round_trip(directory, start, samples, progress=progress)
+    if report is not None:
+        write_page(report.with_suffix(".html"), trip, directory.resolve().name)
+    return trip
+
+
+def _trip_lines(trip: RoundTrip) -> list[str]:
+    lines = []
+    for hand in trip.worst_first[:SHOWN]:
+        if hand.verdict in ("pass", "labels only"):
+            continue
+        error = hand.figures.get("v2v_seen_mean_mm")
+        far = "" if error is None else f", seen vertices {error:.2f} mm off"
+        lines.append(f"sample {hand.sample}: {hand.verdict} ({hand.reason}){far}")
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in trip.counts.items())
+    figures = trip.to_json()["passed"]
+    error = "" if not figures else (
+        f"; passed hands: vertices {figures['v2v_mean_mm']:.2f} mm, seen "
+        f"{figures['v2v_seen_mean_mm']:.2f} mm"
+    )  # fmt: skip
+    state = "no alarm" if trip.ok else "TRUTH MISMATCH"
+    return [*lines, f"round trip from {trip.start}: {counts}{error}: {state}"]
+
+
+def _self_test(directory: Path, samples: int | None, report: Path | None) -> Result:
+    """Show the table fault x product."""
+    from synthgen.verify.self_test import PRODUCTS
+    from synthgen.verify.self_test import self_test as run
+
+    found = run(directory) if samples is None else run(directory, samples)
+    payload: dict[str, Any] = found.to_json()
+    _save(report, payload)
+    by_fault: dict[str, list[str]] = {}
+    for cell in found.cells:
+        word = "not observable" if cell.reason else f"{cell.caught}/{cell.of} {cell.check}"
+        by_fault.setdefault(cell.fault, []).append(word.strip())
+    lines = columns([["fault", *PRODUCTS], *([name, *words] for name, words in by_fault.items())])
+    reasons = sorted({cell.reason for cell in found.cells if cell.reason})
+    lines += ["", *(f"not observable: {reason}" for reason in reasons)]
+    used = sorted({(cell.check, cell.witness) for cell in found.cells if cell.check})
+    lines += ["", *(f"{check}: witness is {witness}" for check, witness in used)]
+    alarms = found.false_alarms
+    lines.append(f"{len(alarms)} false alarms on {found.clean_samples} clean samples")
+    lines += list(alarms)
+    missed = [f"{c.fault} / {c.product}" for c in found.cells if not c.ok]
+    lines += [f"MISSED: {name}" for name in missed]
     return Result(payload, lines, DONE if found.ok else FAILED)
+
+
+def _save(report: Path | None, payload: dict[str, Any]) -> None:
+    if report is not None:
+        report.write_text(json.dumps(payload, indent=2) + "\n", encoding="utf-8")
 
 
 def _line(failure: Failure) -> str:

@@ -104,7 +104,7 @@ def _thumb_axes(along: Array, k: int, thumb_back: Array) -> Array:
 def to_angles(limits: JointLimits, pose: NDArray[np.floating]) -> Array:
     """Decompose poses (..., 16, 3) axis-angle into angles (..., 16, 3) radians."""
     theta = np.asarray(pose, dtype=np.float64)
-    frame, sign = _frames(limits)
+    frame, sign = frames_of(limits)
     R = Rotation.from_rotvec(theta.reshape(-1, 3)).as_matrix().reshape(-1, 16, 3, 3)
     local = frame @ R @ frame.transpose(0, 2, 1)
     angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler("XYZ")
@@ -114,15 +114,15 @@ def to_angles(limits: JointLimits, pose: NDArray[np.floating]) -> Array:
 def from_angles(limits: JointLimits, angles: NDArray[np.floating]) -> Array:
     """Compose angles (..., 16, 3) radians into poses (..., 16, 3) axis-angle."""
     given = np.asarray(angles, dtype=np.float64)
-    frame, sign = _frames(limits)
+    frame, sign = frames_of(limits)
     local = Rotation.from_euler("XYZ", (given * sign).reshape(-1, 3)).as_matrix()
     R = frame.transpose(0, 2, 1) @ local.reshape(-1, 16, 3, 3) @ frame
     vectors = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(vectors.reshape(given.shape), dtype=np.float64)
 
 
-def _frames(limits: JointLimits) -> tuple[Array, Array]:
-    """Right-handed frames (16, 3, 3) and the signs (16, 3) of the angles about their rows."""
+def frames_of(limits: JointLimits) -> tuple[Array, Array]:
+    """Return right-handed frames (16, 3, 3) and signs (16, 3) of the angles about their rows."""
     frame = limits.axes.copy()
     handed = np.sign(np.linalg.det(frame))
     frame[:, 1] *= handed[:, None]

@@ -31,7 +31,7 @@ NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
 BONE_M = (0.05, 0.13)
 FLESH = 2.2  # thickest flesh on the way to a joint, over the typical radius there
 # Red over blue of the bluest skylight; and the contrast that edges must have over chance.
-SKY_HUE, EDGE_GAIN = 0.6, 1.15
+SKY_HUE = 0.6
 
 
 def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
@@ -227,7 +227,9 @@ def check_image(measure: Any, sample: Sample, view: View) -> None:
     mean = view.image[skin].astype(np.float64).mean(axis=0)
     if _redness(sample) > 1.1:
         measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
-    measure("stale image", -_edge_gain(view), -EDGE_GAIN, "no edges where the labels have theirs")
+    measure("stale image", -_edge_rank(view), -0.56, "no edge where the labels have theirs")
+    mirrored = _mirrored_gain(view)
+    measure("mirrored image", mirrored, 1.0, "edges follow the mirrored labels, not the labels")
 
 
 def _redness(sample: Sample) -> float:
@@ -247,17 +249,40 @@ def _redness(sample: Sample) -> float:
     return float(min(skins) * light * error[0] / error[2])
 
 
-def _edge_gain(view: View) -> float:
-    """Image contrast across the labels' edges over that across the same edges moved by 24 px."""
+def _edge_rank(view: View) -> float:
+    """Share of the labels' edge pixels where the picture changes more than it does around them.
+
+    Around: 24 places 8 to 24 px away; 0.5 by chance, whatever the contrast.
+    """
     grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
-    edge = _edges(view.instance_id.astype(np.int64)) | _jumps(view)
-    outline = np.argwhere(edge)
-    here = _contrast(grey, outline)
-    moved = [
-        _contrast(grey, outline + np.array(shift))
-        for shift in ((24, 0), (-24, 0), (0, 24), (0, -24))
+    change = np.zeros_like(grey)
+    change[2:-3, 2:-3] = np.abs(grey[4:-1, 2:-3] - grey[:-5, 2:-3])
+    change[2:-3, 2:-3] += np.abs(grey[2:-3, 4:-1] - grey[2:-3, :-5])
+    outline = np.argwhere(_label_edges(view))
+    size = np.array(grey.shape)
+    outline = outline[np.all((outline >= 30) & (outline < size - 30), axis=1)]
+    if len(outline) < 100:
+        return 1.0  # too little to tell
+    turns = np.arange(8) * np.pi / 4
+    around = [
+        change[tuple((outline + np.rint([r * np.sin(a), r * np.cos(a)]).astype(int)).T)]
+        for r in (8, 16, 24)
+        for a in turns
     ]
-    return float(here / max(float(np.median(moved)), 1e-6))
+    return float(np.mean(change[tuple(outline.T)] > np.median(around, axis=0)))
+
+
+def _mirrored_gain(view: View) -> float:
+    """Image contrast across the labels' edges mirrored over that across the edges."""
+    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
+    outline = np.argwhere(_label_edges(view))
+    flipped = np.stack([outline[:, 0], grey.shape[1] - outline[:, 1]], axis=1)
+    return _contrast(grey, flipped) / max(_contrast(grey, outline), 1e-6)
+
+
+def _label_edges(view: View) -> NDArray[np.bool_]:
+    """Pixels where instances meet or depth jumps."""
+    return np.asarray(_edges(view.instance_id.astype(np.int64)) | _jumps(view))
 
 
 def _jumps(view: View) -> NDArray[np.bool_]:

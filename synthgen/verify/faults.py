@@ -7,18 +7,43 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from synthgen.corpus import Corpus, open_corpus
+from synthgen.corpus import Corpus
 from synthgen.corpus.sample import Sample, View
+from synthgen.geometry.rotations import matrix_from_axis_angle
+from synthgen.models import load_hand
 from synthgen.models.joints import PART_FOREARM, PART_SLEEVE
 from synthgen.verify.checks import check_view
 from synthgen.verify.report import VerifyReport
 
-Fault = Callable[[View], None]
+Points = NDArray[np.float64]
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+NEXT_LABEL = "next label"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A defect.
+
+    Attributes
+    ----------
+    change : callable
+        Puts it into a view, in memory.
+    touches : str
+        What it spoils: "truth" (parameters), "keypoints", "camera", "image", "labels", "depth",
+        "scan" (points alone) or "next label".
+    points : callable or None
+        What it does to a scan's points and normals, where it touches those as well.
+    """
+
+    change: Callable[[View], None]
+    touches: str
+    points: Callable[[Points, Points], tuple[Points, Points]] | None = None
 
 
 def _each_hand(view: View, change: Callable[[dict[str, Any]], None]) -> None:
@@ -111,6 +136,107 @@ def _half_pixel_K(view: View) -> None:
     view.meta["K"][0][2] += 0.5
 
 
+def _each_subject(view: View, change: Callable[[dict[str, Any]], None]) -> None:
+    for subject in view.meta["spec"]["scene"]["subjects"]:
+        change(subject)
+
+
+def _shape_sign(view: View) -> None:
+    _each_subject(view, lambda s: s.update(shape=[-v for v in s["shape"]]))
+
+
+def _mean_of(subject: dict[str, Any]) -> Points:
+    model = load_hand(subject["model"], hand=subject["hand"])
+    mean = np.full(45, 0.2) if model.hands_mean is None else model.hands_mean
+    return np.concatenate([np.zeros((1, 3)), mean.reshape(15, 3)])
+
+
+def _mean_times(share: float) -> Callable[[View], None]:
+    """Mean pose left out (-1) or added twice (+1)."""
+
+    def change(subject: dict[str, Any]) -> None:
+        subject["pose"] = (np.array(subject["pose"]) + share * _mean_of(subject)).tolist()
+
+    return lambda view: _each_subject(view, change)
+
+
+def _pca_as_angles(view: View) -> None:
+    def change(subject: dict[str, Any]) -> None:
+        model = load_hand(subject["model"], hand=subject["hand"])
+        pose = np.array(subject["pose"])
+        off = pose[1:].ravel() - _mean_of(subject)[1:].ravel()
+        if model.hands_components is not None:
+            solved: Any = np.linalg.lstsq(model.hands_components.T, off, rcond=None)[0]
+            off = np.asarray(solved, dtype=np.float64)
+        pose[1:] = off.reshape(15, 3)
+        subject["pose"] = pose.tolist()
+
+    _each_subject(view, change)
+
+
+def _degrees(view: View) -> None:
+    _each_subject(view, lambda s: s.update(pose=np.rad2deg(s["pose"]).tolist()))
+
+
+def _fingers_swapped(view: View) -> None:
+    order = [*range(7), 10, 11, 12, 7, 8, 9, 13, 14, 15]  # MANO: pinky comes before ring
+    _each_subject(view, lambda s: s.update(pose=[s["pose"][k] for k in order]))
+
+
+def _stale_finger(view: View) -> None:
+    """Bend one finger: the mesh is older than its pose."""
+
+    def change(subject: dict[str, Any]) -> None:
+        pose = np.array(subject["pose"])
+        pose[1] += [0.0, 0.0, 0.25]
+        subject["pose"] = pose.tolist()
+
+    _each_subject(view, change)
+
+
+def _about_origin(view: View) -> None:
+    """Turn about the origin in place of joint 0: the translation is off by J0 - R J0."""
+
+    def change(subject: dict[str, Any]) -> None:
+        model = load_hand(subject["model"], hand=subject["hand"])
+        joint = model.shaped(np.array(subject["shape"]))[1][0]
+        joint = joint if np.linalg.norm(joint) > 0.01 else np.array([0.09, 0.0, 0.01])
+        turn = matrix_from_axis_angle(np.array(subject["pose"][0]))
+        moved = np.array(subject["translation_m"]) + joint - turn @ joint
+        subject["translation_m"] = moved.tolist()
+
+    _each_subject(view, change)
+
+
+def _eight_bits(view: View) -> None:
+    depth = view.depth_z_m
+    top = float(depth.max())
+    view.__dict__["depth_z_m"] = (np.rint(depth / top * 255) / 255 * top).astype(np.float32)
+
+
+def _depth_millimetres(view: View) -> None:
+    view.__dict__["depth_z_m"] = view.depth_z_m * np.float32(1000)
+
+
+def _mirrored_image(view: View) -> None:
+    view.__dict__["image"] = np.ascontiguousarray(view.image[:, ::-1])
+
+
+def _crop(view: View) -> None:
+    """Move the principal point by 12 px in every label, as after a crop, but not in the picture."""
+    camera = view.meta["spec"]["scene"]["cameras"][view.meta["view"]]
+    view.meta["K"][0][2] += 12
+    camera["cx"] += 12
+    _each_hand(
+        view,
+        lambda h: h.update(keypoints_2d=(np.array(h["keypoints_2d"]) + [12.0, 0.0]).tolist()),
+    )
+
+
+def _nothing(view: View) -> None:
+    pass
+
+
 def _objects_unlabelled(view: View) -> None:
     """Things before the hand left out of the ids, as compositing does."""
     known = view.instance_id <= len(view.meta["hands"])
@@ -142,31 +268,48 @@ def _distortion_forgotten(view: View) -> None:
 
 # Found only where things are worn or before the hand, and the lens distorts.
 OBJECT_FAULTS: dict[str, Fault] = {
-    "objects left out of the ids": _objects_unlabelled,
-    "masks through what covers them": _amodal,
-    "sleeve labelled as skin": _sleeve_as_skin,
-    "hidden keypoints called visible": _all_visible,
-    "distortion forgotten": _distortion_forgotten,
+    "objects left out of the ids": Fault(_objects_unlabelled, "labels"),
+    "masks through what covers them": Fault(_amodal, "labels"),
+    "sleeve labelled as skin": Fault(_sleeve_as_skin, "labels"),
+    "hidden keypoints called visible": Fault(_all_visible, "keypoints"),
+    "distortion forgotten": Fault(_distortion_forgotten, "camera"),
 }
 
 FAULTS: dict[str, Fault] = {
-    "keypoints half a pixel off": _shift,
-    "joint order of another library": _order,
-    "left and right swapped": _side,
-    "millimetres": _millimetres,
-    "OpenGL axes": _opengl,
-    "another fingertip vertex": _tip,
-    "all keypoints out of frame": _state,
-    "pose not the one rendered": _mean_pose,
-    "depth from the near plane": _near_plane,
-    "distance stored as depth": _distance_as_depth,
-    "labels mirrored": _mirrored,
-    "ids shifted by a pixel": _ids_shifted,
-    "parts of two fingers swapped": _parts_permuted,
-    "normals away from the camera": _normals_away,
-    "texture upside down": _uv_flipped,
-    "BGR picture": _bgr,
-    "principal point half a pixel off": _half_pixel_K,
+    "left and right swapped": Fault(_side, "keypoints"),
+    "shape sign of the other hand": Fault(_shape_sign, "truth"),
+    "mean pose dropped": Fault(_mean_times(-1.0), "truth"),
+    "mean pose doubled": Fault(_mean_times(1.0), "truth"),
+    "PCA coefficients as axis-angle": Fault(_pca_as_angles, "truth"),
+    "degrees for radians": Fault(_degrees, "truth"),
+    "pinky and ring swapped": Fault(_fingers_swapped, "truth"),
+    "pose not the one rendered": Fault(_mean_pose, "truth"),
+    "stale mesh after a pose change": Fault(_stale_finger, "truth"),
+    "turned about the origin": Fault(_about_origin, "truth"),
+    "label of the next sample": Fault(_nothing, NEXT_LABEL),
+    "keypoints half a pixel off": Fault(_shift, "keypoints"),
+    "joint order of another library": Fault(_order, "keypoints"),
+    "millimetres": Fault(_millimetres, "keypoints"),
+    "OpenGL axes": Fault(_opengl, "keypoints"),
+    "another fingertip vertex": Fault(_tip, "keypoints"),
+    "all keypoints out of frame": Fault(_state, "keypoints"),
+    "depth from the near plane": Fault(_near_plane, "depth"),
+    "distance stored as depth": Fault(_distance_as_depth, "depth"),
+    "depth quantised to 8 bits": Fault(_eight_bits, "depth"),
+    "depth in millimetres": Fault(_depth_millimetres, "depth"),
+    "labels mirrored": Fault(_mirrored, "labels"),
+    "mirrored image, labels not": Fault(_mirrored_image, "image"),
+    "ids shifted by a pixel": Fault(_ids_shifted, "labels"),
+    "parts of two fingers swapped": Fault(_parts_permuted, "labels"),
+    "normals away from the camera": Fault(_normals_away, "depth"),
+    "texture upside down": Fault(_uv_flipped, "labels"),
+    "BGR picture": Fault(_bgr, "image"),
+    "principal point half a pixel off": Fault(_half_pixel_K, "camera"),
+    "intrinsics from before a crop": Fault(_crop, "camera"),
+    "scan in millimetres": Fault(_nothing, "scan", lambda p, n: (1000 * p, n)),
+    "scan mirrored": Fault(_nothing, "scan", lambda p, n: (p * _MIRROR, n * _MIRROR)),
+    "scan with inward normals": Fault(_nothing, "scan", lambda p, n: (p, -n)),
+    "scan half a centimetre off": Fault(_nothing, "scan", lambda p, n: (p + 0.003, n)),
 }
 
 
@@ -175,18 +318,8 @@ def caught(corpus: Corpus, position: int, fault: Fault) -> bool:
     clean = corpus[position]
     view = clean.views[0]
     broken = View(copy.deepcopy(view.meta), view.stored_member)
-    fault(broken)
+    fault.change(broken)
     spec = type(clean.spec).from_json(broken.meta["spec"])
     report = VerifyReport()
     check_view(report, Sample(clean.index, (broken,), spec), broken)
     return not report.ok
-
-
-def self_test(path: str | Path, samples: int = 4) -> dict[str, float]:
-    """Inject every defect into some samples; return the share of samples that catch each."""
-    corpus = open_corpus(path)
-    chosen = range(min(samples, len(corpus)))
-    return {
-        name: float(np.mean([caught(corpus, k, fault) for k in chosen]))
-        for name, fault in FAULTS.items()
-    }

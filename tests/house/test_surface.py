@@ -16,8 +16,8 @@ from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
 
 TOP = [
-    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "sampling", "scanner",
-    "scene", "verify",
+    "__version__", "config", "corpus", "geometry", "models", "open_corpus", "registration",
+    "sampling", "scanner", "scene", "verify",
 ]  # fmt: skip
 MODELS = {
     "BodyModel", "Forward", "Gradient", "HandSpace", "Jacobian", "ManoModel", "Posed", "as_torch",
@@ -60,7 +60,12 @@ VERBS = {
         "CONFIG", "--out", "--samples", "--seed", "--workers", "--shards", "--set", "--json",
     ],
     "show": ["DIR", "--sample", "--remake", "--json"],
-    "verify": ["DIR", "--samples", "--report", "--json"],
+    "verify": ["DIR", "--samples", "--start", "--report", "--self-test", "--json"],
+    "fit": [
+        "SCAN...", "--out", "--model", "--hand", "--start", "--coupled", "--preset", "--units",
+        "--sequence", "--json",
+    ],
+    "train-init": ["MODEL", "--out", "--seconds", "--hands", "--json"],
     "preview": ["DIR", "--out", "--sheet", "--json"],
     "bench": ["NAME", "--report", "--json"],
 }  # fmt: skip

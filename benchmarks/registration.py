@@ -1,0 +1,244 @@
+"""Registration of hand scans: success, errors and CPU seconds on poses that training never saw.
+
+Poses: the capture protocol's (``synthgen.cc0.poses``), half of them blended with another one, each
+joint turned by 4 degrees; rotations uniform over SO(3); three depth cameras, holes, outliers.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from synthgen import models
+from synthgen.cc0.poses import protocol_poses
+from synthgen.registration import Fit, fit
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
+from synthgen.registration.surface import surface_of
+from synthgen.sampling.limits import limits_of
+from synthgen.sampling.shape import sample_shape
+from synthgen.sampling.streams import stream
+
+FEW = 24
+SUCCESS_MM, BASIN_MM = 1.5, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A scan with its truth; ``seen`` (V,) are vertices near a scan point."""
+
+    name: str
+    x: np.ndarray
+    vertices: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    seen: np.ndarray
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One fit measured; millimetres and CPU seconds."""
+
+    case: Case
+    fit: Fit
+    error: float
+    seen_error: float
+    surface_seen: float
+    cpu_s: float
+
+    @property
+    def false_pass(self) -> bool:
+        """Whether a wrong fit passed."""
+        return self.fit.verdict == "pass" and self.error > SUCCESS_MM
+
+
+def make_case(
+    number: int, seed: int, noise_m: float = 2e-4, detail_m: float = 0.0, rough: float = 0.0
+) -> Case:
+    """Pose, place and scan one hand."""
+    model = models.load("cc0-hand")
+    surface = surface_of(model)
+    rng = stream(seed, "sample", number, 0, "registration benchmark")
+    names, poses = protocol_poses(limits_of(model))
+    own, other = number % len(poses), int(rng.integers(len(poses)))
+    share = rng.random() if rng.random() < 0.5 else 0.0
+    pose = (1 - share) * poses[own] + share * poses[other]
+    pose[1:] += rng.normal(0, np.deg2rad(4), (15, 3))
+    pose[0] = Rotation.random(rng=rng).as_rotvec()
+    shape = sample_shape(model.n_shape, sigma=1.0, limit=2.5, rng=rng)
+    x = surface.pack(shape, pose, rng.normal(0, 0.03, 3))
+    vertices = surface.at(x).vertices
+    if detail_m:
+        vertices = with_detail(vertices, surface.faces, detail_m, rng=rng, rough=rough)
+    settings = ScanSettings(noise_m=noise_m)
+    points, normals, seen = simulate_scan(vertices, surface.faces, settings, rng=rng)
+    name = names[own] if not share else f"{names[own]} / {names[other]}"
+    return Case(name, x, vertices, points, normals, seen, rng)
+
+
+def perturbed(case: Case) -> tuple[Any, Any, Any]:
+    """Mean pose, mean shape, rotation within 15 degrees of the truth."""
+    model = models.load("cc0-hand")
+    axis = case.rng.standard_normal(3)
+    axis *= np.deg2rad(15 * case.rng.random()) / np.linalg.norm(axis)
+    pose = np.concatenate([np.zeros((1, 3)), model.hands_mean.reshape(15, 3)])
+    _, truth, translation = surface_of(model).unpack(case.x)
+    pose[0] = (Rotation.from_rotvec(axis) * Rotation.from_rotvec(truth[0])).as_rotvec()
+    return np.zeros(model.n_shape), pose, translation
+
+
+def measure(case: Case, start: str, **settings: Any) -> Outcome:
+    """Fit a case and compare."""
+    import igl
+
+    model = models.load("cc0-hand")
+    begin = "cold" if start == "cold" else perturbed(case)
+    began = time.process_time()
+    found = fit(case.points, case.normals, model, begin, settings.pop("hand", "right"), **settings)
+    cpu = time.process_time() - began
+    error = 1e3 * np.linalg.norm(found.vertices - case.vertices, axis=1)
+    mesh = found.vertices if found.free_vertices is None else found.free_vertices
+    faces = np.ascontiguousarray(model.faces, np.int64)
+    surface = 1e3 * np.sqrt(igl.point_mesh_squared_distance(case.vertices, mesh, faces)[0])
+    return Outcome(case, found, float(error.mean()), float(error[case.seen].mean()),
+                   float(surface[case.seen].mean()), cpu)  # fmt: skip
+
+
+def series(n: int, seed: int, start: str, **settings: Any) -> list[Outcome]:
+    """Make and fit n cases."""
+    noise, detail = settings.pop("noise_m", 2e-4), settings.pop("detail_m", 0.0)
+    rough = settings.pop("rough", 0.0)
+    say = settings.pop("say", None)
+    found = []
+    for k in range(n):
+        found.append(measure(make_case(k, seed, noise, detail, rough), start, **settings))
+        if say is not None:
+            say(f"{k} {describe(found[-1])}")
+    return found
+
+
+def describe(o: Outcome) -> str:
+    """One line about one fit."""
+    tried = " ".join(f"{c['source']}:{c['early_explained']:.2f}:{c['reason']}"
+                     for c in o.fit.report.get("candidates", []))  # fmt: skip
+    s = o.fit.report.get("statistics") or {}
+    stats = "" if not s else (
+        f"bf {s['worst_part_unexplained']:.3f} ratio {s['worst_part_p95_ratio']:.2f} "
+        f"sd95 {s['predicted_vertex_sd_mm']['p95']:.2f} ex {s['explained']:.3f}"
+    )  # fmt: skip
+    return (f"{o.case.name[:24]:24} cover {o.case.seen.mean():.2f} v2v {o.error:.2f} seen "
+            f"{o.seen_error:.2f} surf {o.surface_seen:.2f} {o.fit.verdict} {o.fit.reason} "
+            f"cpu {o.cpu_s:.2f} {stats} [{tried}]")  # fmt: skip
+
+
+def share(hits: int, n: int) -> str:
+    """Share with its 95 % Wilson interval."""
+    if n == 0:
+        return "-"
+    p, z = hits / n, 1.96
+    middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    low, high = (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+    return f"{100 * p:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
+
+
+def row(name: str, found: list[Outcome]) -> list[Any]:
+    """Summary of a series."""
+    error = np.array([o.error for o in found])
+    wide = [o for o in found if o.case.seen.mean() >= 0.5]
+    good = error < SUCCESS_MM
+    cpu = np.array([o.cpu_s for o in found])
+    verdicts = [o.fit.verdict for o in found]
+    return [
+        name,
+        len(found),
+        share(int(good.sum()), len(found)),
+        share(sum(o.error < SUCCESS_MM for o in wide), len(wide)),
+        share(int((error < BASIN_MM).sum()), len(found)),
+        float(error[good].mean()) if good.any() else float("nan"),
+        float(np.mean([o.surface_seen for o in found if o.error < BASIN_MM])),
+        float(np.median(cpu)),
+        float(np.quantile(cpu, 0.95)),
+        " / ".join(str(verdicts.count(v)) for v in ("pass", "unobserved", "fail")),
+        sum(o.false_pass for o in found),
+    ]
+
+
+def adam(cases: list[Case], steps: int) -> list[Any]:
+    """Torch's Adam on the same energy and derivatives, from the same coarse result.
+
+    Its gradients are analytic, which costs a third of autograd through the model.
+    """
+    import torch
+
+    from synthgen.registration.fit import _Request, _right, _Run, _start
+    from synthgen.registration.scan import scan_of
+    from synthgen.registration.schedule import stage_terms
+    from synthgen.registration.solver import Energy
+
+    request = _Request(_right(models.load("cc0-hand")), "fast", False, None, None, None, 0.0)
+    errors, seconds = [], []
+    for case in cases:
+        began = time.process_time()
+        scan = scan_of(case.points, case.normals)
+        run = _Run(request, scan, "right", _start(request, perturbed(case)))
+        scale = np.ones(run.settings.surface.n)
+        scale[run.settings.surface.translation] = 0.02  # metres are large steps
+        y = torch.tensor(run.vectors[0] / scale)
+        optimiser = torch.optim.Adam([y], lr=0.03)
+        decay = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.02 ** (1 / steps))
+        stages = run.settings.preset.finish[:3]
+        for k in range(steps):
+            stage = stages[min(3 * k // steps, 2)]
+            terms = stage_terms(scan, stage, run.settings.priors(stage.prior))
+            energy = Energy(run.settings.surface, terms)
+            gradient = energy.normal_equations(energy.at(scale * y.numpy()))[1]
+            y.grad = torch.from_numpy(scale * gradient)
+            optimiser.step()
+            decay.step()
+        vertices = run.settings.surface.at(scale * y.numpy()).vertices
+        seconds.append(time.process_time() - began)
+        errors.append(1e3 * float(np.linalg.norm(vertices - case.vertices, axis=1).mean()))
+    good = sum(e < SUCCESS_MM for e in errors)
+    error, cpu = float(np.median(errors)), float(np.median(seconds))
+    return [f"torch Adam, {steps} steps", len(cases), share(good, len(cases)), "", "", error, "",
+            cpu, "", "", ""]  # fmt: skip
+
+
+COLUMNS = [
+    "series", "n", "v2v < 1.5 mm", "same, coverage >= .5", "v2v < 5 mm", "v2v mm (good)",
+    "surface mm (seen)", "CPU s median", "p95", "pass/unobserved/fail", "false pass",
+]  # fmt: skip
+
+
+def run(n: int = FEW) -> dict[str, Any]:
+    """Run all series."""
+    surface = surface_of(models.load("cc0-hand"))
+    surface.at(np.zeros(surface.n)).jacobian  # noqa: B018  (compiles the kernels)
+    series(1, 99, "cold")
+    rows = [
+        row("perturbed, 0.2 mm", series(n, 0, "perturbed")),
+        *(adam([make_case(k, 0) for k in range(max(n // 8, 2))], steps) for steps in (100, 240)),
+        row("cold, 0.2 mm", series(n, 1, "cold")),
+        row("cold, 0.5 mm", series(n // 2, 2, "cold", noise_m=5e-4)),
+        row("cold, 1.0 mm", series(n // 2, 3, "cold", noise_m=1e-3)),
+        row("cold, side unknown", series(n // 2, 4, "cold", hand="auto")),
+        row("perturbed, 0.6 mm detail", series(n // 2, 5, "perturbed", detail_m=6e-4)),
+        row("same, coupled stage", series(n // 2, 5, "perturbed", detail_m=6e-4, coupled=True)),
+        row(
+            "a third of it rough, coupled",
+            series(n // 2, 5, "perturbed", detail_m=6e-4, rough=1 / 3, coupled=True),
+        ),
+    ]
+    return {
+        "title": "Registration of hands (cc0-hand), foreign poses; 95 % intervals",
+        "columns": COLUMNS,
+        "rows": rows,
+        "notes": [
+            "Paper: 77 % of scans accepted, about 30 s a scan on 4 threads, poses known.",
+            "Detail: displacements that no model expresses (0.6 mm); the others are in-model.",
+        ],
+    }

@@ -1,0 +1,147 @@
+"""``synthgen fit``: register hand scans."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from synthgen.cli.options import Json
+from synthgen.cli.output import DONE, FAILED, Result
+from synthgen.errors import ConfigError
+
+if TYPE_CHECKING:
+    from synthgen.registration.fit import Fit
+    from synthgen.registration.reading import StoredScan
+
+Scans = Annotated[
+    list[Path], typer.Argument(metavar="SCAN...", help="PLY, OBJ, GLB or XYZ files; one hand each.")
+]
+Model = Annotated[str, typer.Option("--model", metavar="NAME", help="A hand model's name or path.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")]
+Hand = Annotated[str, typer.Option("--hand", metavar="SIDE", help="auto, left or right.")]
+Start = Annotated[
+    str, typer.Option("--start", metavar="cold|FILE", help="cold, or a fit's .npz to start from.")
+]
+Coupled = Annotated[
+    bool, typer.Option("--coupled", help="Also free the mesh, for detail that the model lacks.")
+]
+PresetName = Annotated[
+    str, typer.Option("--preset", metavar="NAME", help="fast, accurate or paper.")
+]
+Units = Annotated[str, typer.Option("--units", metavar="UNIT", help="auto, m, mm, cm or inch.")]
+Sequence = Annotated[
+    bool, typer.Option("--sequence", help="Scans are frames: each starts from the one before.")
+]
+
+
+def fit(
+    scans: Scans,
+    out: Out,
+    model: Model = "cc0-hand",
+    hand: Hand = "auto",
+    start: Start = "cold",
+    coupled: Coupled = False,
+    preset: PresetName = "fast",
+    units: Units = "auto",
+    sequence: Sequence = False,
+    as_json: Json = False,
+) -> Result:
+    """Fit a hand model to scans; parameters, mesh, picture and report of each go to --out."""
+    from synthgen.models import load
+    from synthgen.registration import fit as register
+    from synthgen.registration.reading import read_scan
+
+    hand_model: Any = load(model)
+    first = _start(start)
+    stored = [(path, read_scan(path, units)) for path in scans]
+    names = _names(scans)
+    out.mkdir(parents=True, exist_ok=True)
+    reports, lines, begin = [], [], first
+    for name, (path, scan) in zip(names, stored, strict=True):
+        found = register(
+            scan.points, scan.normals, hand_model, begin, hand, preset=preset, coupled=coupled
+        )
+        reports.append(_write(out, name, path, scan, found))
+        lines.append(_line(path, scan, found))
+        if sequence and found.verdict != "fail":
+            begin = (found.shape, found.pose, found.translation)
+            hand, hand_model = found.hand, found.model
+    good = all(report["verdict"] != "fail" for report in reports)
+    payload = {"out": str(out), "fits": reports}
+    return Result(payload, [*lines, f"results in {out}"], DONE if good else FAILED)
+
+
+def _names(scans: list[Path]) -> list[str]:
+    """Name each scan's files; equal stems are numbered."""
+    stems = [path.stem for path in scans]
+    return [s if stems.count(s) == 1 else f"{s}_{k}" for k, s in enumerate(stems)]
+
+
+def _start(word: str) -> Any:
+    import numpy as np
+
+    if word == "cold":
+        return "cold"
+    try:
+        with np.load(word, allow_pickle=False) as stored:
+            return stored["shape"], stored["pose"], stored["translation"]
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(
+            f"--start {word}: expected cold or a fit's .npz (shape, pose, translation): {error}"
+        ) from error
+
+
+def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> dict[str, Any]:
+    """Write parameters, mesh, picture and report; return the report."""
+    import numpy as np
+
+    from synthgen.registration.overlay import draw_overlay, save_overlay
+
+    np.savez(
+        out / f"{name}.npz", shape=found.shape, pose=found.pose, translation=found.translation,
+        vertices=found.vertices, joints=found.joints, vertex_sd_m=found.vertex_sd_m,
+        hand=np.array(found.hand),
+    )  # fmt: skip
+    files = {"parameters": f"{name}.npz", "mesh": f"{name}.ply", "picture": f"{name}.png"}
+    _write_mesh(out / f"{name}.ply", found.vertices, found.model.faces)
+    surface = found.vertices
+    if found.free_vertices is not None:
+        files["free_mesh"] = f"{name}_free.ply"
+        _write_mesh(out / f"{name}_free.ply", found.free_vertices, found.model.faces)
+        surface = found.free_vertices
+    title = f"{name}: {found.verdict} {found.reason} {found.hand}"
+    save_overlay(out / f"{name}.png",
+                 draw_overlay(scan.points, surface, found.model.faces, title))  # fmt: skip
+    report = {
+        "scan": str(path), "units": scan.units, "units_note": scan.note, **found.report,
+        "hand": found.hand, "shape": found.shape.tolist(), "pose": found.pose.tolist(),
+        "translation_m": found.translation.tolist(), "files": files,
+    }  # fmt: skip
+    (out / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    return report
+
+
+def _write_mesh(path: Path, vertices: Any, faces: Any) -> None:
+    import trimesh
+
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+
+
+def _line(path: Path, scan: StoredScan, found: Fit) -> str:
+    """One fit in words."""
+    if (message := found.report.get("message")) is not None:
+        return f"{path}: fail ({found.reason}): {message}"
+    s = found.report["statistics"]
+    reason = f" ({found.reason})" if found.reason else ""
+    numbers = "" if s is None else (
+        f"; noise {s['noise_mm']:.2f} mm, {100 * s['explained']:.1f} % explained, "
+        f"vertices known to {s['predicted_vertex_sd_mm']['median']:.2f} mm"
+    )  # fmt: skip
+    seconds = found.report["cpu_s"]["total"]
+    return (
+        f"{path}: {found.verdict}{reason}, {found.hand} hand{numbers}; "
+        f"{scan.note}; {seconds:.1f} CPU s"
+    )

@@ -1,0 +1,141 @@
+"""A picture of a fit: the scan, the model, and the model coloured by its distance from the scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ShapeError
+from synthgen.geometry.cameras import Camera, camera_from_K
+from synthgen.geometry.normals import unit, vertex_normals
+from synthgen.geometry.raster import rasterise
+from synthgen.geometry.transforms import look_at
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+SIZE, WORST_M, UNSEEN_M = 320, 1e-3, 3e-3
+
+
+def draw_overlay(
+    points: NDArray[Any], vertices: NDArray[Any], faces: NDArray[Any], title: str = ""
+) -> Picture:
+    """Draw three columns (scan; scan over model; distance) from three sides.
+
+    Distances run from green (0) over yellow to red (1 mm and more); skin farther than 3 mm from
+    every scan point is grey: not seen.
+
+    Parameters
+    ----------
+    points : (N, 3) float, metres
+    vertices : (V, 3) float, metres
+    faces : (F, 3) int
+    title : str
+
+    Returns
+    -------
+    (H, W, 3) uint8, sRGB
+    """
+    from scipy.spatial import cKDTree
+
+    scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
+    scan = scan[np.isfinite(scan).all(axis=1)]
+    distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
+    plane = _plane_distance(scan, mesh, faces)
+    colours = error_colours(np.where(distance < UNSEEN_M, plane, np.inf))
+    rows = [np.hstack(_row(scan, mesh, faces, colours, camera)) for camera in _cameras(mesh)]
+    return _titled(np.vstack(rows), title)
+
+
+def save_overlay(path: Path, picture: Picture) -> None:
+    """Write a PNG."""
+    import cv2
+
+    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
+        raise ShapeError(f"{path}: cannot be written as a picture")
+
+
+def error_colours(distance_m: Array) -> Array:
+    """Colours (V, 3) in 0..1 of distances; infinite is grey."""
+    share = np.clip(np.where(np.isfinite(distance_m), distance_m, 0) / WORST_M, 0, 1)[:, None]
+    low, middle, high = (np.array(c) for c in ([0.2, 0.7, 0.3], [0.95, 0.85, 0.2], [0.8, 0.1, 0.1]))
+    warm = np.where(share < 0.5, low + 2 * share * (middle - low),
+                    middle + (2 * share - 1) * (high - middle))  # fmt: skip
+    return np.where(np.isfinite(distance_m)[:, None], warm, 0.6)
+
+
+def _plane_distance(scan: Array, mesh: Array, faces: NDArray[Any]) -> Array:
+    """Mean distance of the scan points around each vertex from the mesh (V,)."""
+    import igl
+
+    if len(scan) == 0:
+        return np.zeros(len(mesh))
+    some = scan[:20_000]
+    f = np.ascontiguousarray(faces, dtype=np.int64)
+    squared, face = igl.point_mesh_squared_distance(some, mesh, f)[:2]
+    near = squared < 0.01**2
+    ids, d = f[face[near]].ravel(), np.repeat(np.sqrt(squared[near]), 3)
+    count = np.bincount(ids, minlength=len(mesh))
+    return np.asarray(np.bincount(ids, d, len(mesh)) / np.maximum(count, 1))
+
+
+def _cameras(mesh: Array) -> list[Camera]:
+    centre = (mesh.min(axis=0) + mesh.max(axis=0)) / 2
+    axes = np.linalg.svd(mesh - centre, full_matrices=False)[2]
+    radius = float(np.linalg.norm(mesh - centre, axis=1).max())
+    focal = 0.46 * SIZE * (0.8 - radius) / radius
+    K = np.array([[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]])
+    views = (axes[2], -axes[2], unit(axes[1] + 0.3 * axes[2]))
+    up = tuple(float(v) for v in axes[0])
+    return [camera_from_K(K, SIZE, SIZE, look_at(centre + 0.8 * d, centre, (up[0], up[1], up[2])))
+            for d in views]  # fmt: skip
+
+
+def _row(
+    scan: Array, mesh: Array, faces: NDArray[Any], colours: Array, camera: Camera
+) -> list[Picture]:
+    normals = vertex_normals(mesh, faces)
+    face, b, depth = rasterise(mesh, faces, camera)
+    on = face >= 0
+    corner = np.asarray(faces)[face[on]]
+    n = unit(np.einsum("nk,nka->na", b[on], normals[corner]))
+    towards = unit(camera.position - mesh.mean(axis=0))
+    light = 0.25 + 0.75 * np.abs(n @ towards)
+    model = np.full((SIZE, SIZE, 3), 1.0)
+    model[on] = light[:, None] * np.array([0.85, 0.78, 0.74])
+    errors = np.full((SIZE, SIZE, 3), 1.0)
+    errors[on] = light[:, None] * np.einsum("nk,nka->na", b[on], colours[corner])
+    alone = np.full((SIZE, SIZE, 3), 1.0)
+    both = model.copy()
+    _dots(alone, scan, camera, np.zeros_like(depth))
+    _dots(both, scan[:6000], camera, depth)
+    return [np.asarray(255 * np.clip(p, 0, 1) + 0.5, np.uint8) for p in (alone, both, errors)]
+
+
+def _dots(picture: Array, scan: Array, camera: Camera, depth: Array) -> None:
+    """Scan points in blue, nearer ones darker; points well behind the model are hidden."""
+    if len(scan) == 0:
+        return
+    local = (scan - camera.position) @ camera.T[:3, :3]
+    z = local[:, 2]
+    u = np.rint(local[:, 0] / z * camera.fx + camera.cx).astype(int)
+    v = np.rint(local[:, 1] / z * camera.fy + camera.cy).astype(int)
+    inside = (u >= 0) & (u < SIZE) & (v >= 0) & (v < SIZE) & (z > 0)
+    u, v, z = u[inside], v[inside], z[inside]
+    shown = (depth[v, u] == 0) | (z < depth[v, u] + 0.004)
+    order = np.argsort(-z[shown])
+    u, v, z = u[shown][order], v[shown][order], z[shown][order]
+    near, far = z.min(initial=0.7), z.max(initial=0.9)
+    shade = (z - near) / max(far - near, 1e-6)
+    picture[v, u] = np.stack([0.1 + 0.7 * shade, 0.2 + 0.6 * shade, 0.5 + 0.4 * shade], axis=1)
+
+
+def _titled(picture: Picture, title: str) -> Picture:
+    import cv2
+
+    head = np.full((26, picture.shape[1], 3), 255, np.uint8)
+    cv2.putText(head, title[:110], (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (20, 20, 20), 1,
+                cv2.LINE_AA)  # fmt: skip
+    return np.vstack([head, picture])

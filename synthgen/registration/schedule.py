@@ -1,0 +1,216 @@
+"""Coarse-to-fine schedules: what a stage of a fit looks at, and how firmly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ShapeError, nearest
+from synthgen.registration.scan import Scan
+from synthgen.registration.solver import Energy, Method, Outcome, minimise
+from synthgen.registration.surface import Surface
+from synthgen.registration.terms import GemanMcClure, MeshToScan, ScanToMesh, Term
+
+Array = NDArray[np.float64]
+MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of annealing.
+
+    The data weighs as ``n_eff`` independent points of standard deviation ``noise_m``: it starts
+    soft, so that the priors lead, and ends at the scan's own noise (the paper's annealing of
+    lambda_a, over a wider range).
+
+    Attributes
+    ----------
+    points : int
+        Scan points used.
+    iterations : int
+    sigma_m : float
+        Geman-McClure scale, metres.
+    cut_m : float
+        Farthest correspondence, metres.
+    cosine : float
+        Least cosine between normals.
+    noise_m, n_eff : float
+    tangential : float
+        Share of point-to-point distance.
+    mesh_to_scan : float
+        Weight of the mesh-to-scan term relative to scan-to-mesh (paper: 0.1).
+    mesh_cut_m : float
+        Vertices farther than this from the scan lie over holes.
+    prior : float
+        Weight of the pose prior.
+    rigid : bool
+        Only rotation, translation and size (first beta).
+    """
+
+    points: int
+    iterations: int
+    sigma_m: float
+    cut_m: float
+    cosine: float
+    noise_m: float
+    n_eff: float
+    tangential: float = 0.0
+    mesh_to_scan: float = 0.0
+    mesh_cut_m: float = 0.015
+    prior: float = 1.0
+    rigid: bool = False
+
+
+RIGID = Stage(400, 15, 30 * MM, 150 * MM, -0.2, 0.5 * MM, 40, tangential=0.5, mesh_to_scan=0.3,
+              mesh_cut_m=0.08, rigid=True)  # fmt: skip
+WIDE = Stage(600, 12, 15 * MM, 80 * MM, 0.0, 0.5 * MM, 60, tangential=0.2, mesh_to_scan=0.3,
+             mesh_cut_m=0.04)  # fmt: skip
+CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
+NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
+FINAL = Stage(10_000, 4, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
+LAST = replace(FINAL, points=30_000, n_eff=30_000, iterations=2)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named schedule.
+
+    Attributes
+    ----------
+    first : tuple of Stage
+        From a rough start (a known rotation).
+    finish : tuple of Stage
+        From a good start; the last stage takes the scan's own noise when ``own_noise``.
+    method : "lm" or "dogleg"
+    """
+
+    name: str
+    first: tuple[Stage, ...]
+    finish: tuple[Stage, ...]
+    method: Method = "lm"
+    own_noise: bool = True
+
+
+def _paper(lambda_a: float, stage: Stage) -> Stage:
+    """Stage of the paper: lambda_a times the mean robust squared distance in mm^2."""
+    return replace(stage, n_eff=lambda_a, noise_m=MM, mesh_to_scan=0.1, prior=1.0)
+
+
+PRESETS = {
+    "fast": Preset("fast", (RIGID, WIDE), (CLOSE, NEAR, FINAL, LAST)),
+    "accurate": Preset(
+        "accurate",
+        (RIGID, WIDE),
+        (CLOSE, NEAR, FINAL, replace(LAST, points=100_000, n_eff=100_000, iterations=6)),
+    ),
+    "paper": Preset(
+        "paper",
+        (_paper(100, RIGID), _paper(100, WIDE)),
+        (_paper(200, CLOSE), _paper(300, NEAR), _paper(500, replace(FINAL, points=5000))),
+        method="dogleg",
+        own_noise=False,
+    ),
+}
+
+
+def preset_named(name: str) -> Preset:
+    """Return a preset.
+
+    Raises
+    ------
+    ShapeError
+        If there is none of that name.
+    """
+    if name not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise ShapeError(f"no preset {name!r}{nearest(name, PRESETS)}; known: {known}")
+    return PRESETS[name]
+
+
+def stage_terms(
+    scan: Scan,
+    stage: Stage,
+    priors: Sequence[Term],
+    visible: NDArray[np.bool_] | None = None,
+    curved: float = 0.0,
+) -> list[Term]:
+    """Return the terms of one stage; a scan of fewer points than the stage's counts for fewer."""
+    points, normals = scan.points[: stage.points], scan.normals[: stage.points]
+    weight = stage.n_eff * len(points) / stage.points / stage.noise_m**2
+    rho = GemanMcClure(stage.sigma_m)
+    terms: list[Term] = [
+        ScanToMesh(
+            points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential, curved
+        )
+    ]
+    if stage.mesh_to_scan > 0:
+        terms.append(
+            MeshToScan(scan, weight * stage.mesh_to_scan, rho, stage.mesh_cut_m,
+                       max(stage.cosine, 0.3), visible)
+        )  # fmt: skip
+    return [*terms, *priors]
+
+
+def rigid_basis(surface: Surface) -> Array:
+    """Directions (n, 7) of translation, rotation and the first beta."""
+    root, at = surface.root.start, surface.translation.start
+    free = [surface.shape.start, *range(root, root + 3), *range(at, at + 3)]
+    return np.eye(surface.n)[:, free]
+
+
+def pca_basis(surface: Surface, components: int) -> Array:
+    """Directions of everything but the fingers, and the hand's leading principal components.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of a hand model with ``hands_components``.
+    components : int
+        6 to 45.
+    """
+    directions = surface.model.hands_components
+    if directions is None or not 6 <= components <= len(directions):
+        most = 0 if directions is None else len(directions)
+        raise ShapeError(
+            f"components={components}: model {surface.model.name!r} carries {most}; use 6 to {most}"
+        )
+    others = np.delete(np.eye(surface.n), np.arange(surface.fingers.start, surface.fingers.stop), 1)
+    hand = np.zeros((surface.n, components))
+    hand[surface.fingers] = directions[:components].T
+    return np.concatenate([others, hand], axis=1)
+
+
+def run_stage(
+    surface: Surface,
+    scan: Scan,
+    x: Array,
+    stage: Stage,
+    priors: Sequence[Term],
+    *,
+    method: Method = "lm",
+    basis: Array | None = None,
+    visible: NDArray[np.bool_] | None = None,
+    curved: float = 0.0,
+) -> Outcome:
+    """Run one stage from x."""
+    energy = Energy(surface, stage_terms(scan, stage, priors, visible, curved))
+    chosen = rigid_basis(surface) if stage.rigid else basis
+    return minimise(energy, x, iterations=stage.iterations, basis=chosen, method=method)
+
+
+def own_noise(outcome: Outcome) -> float:
+    """Return the sd of a scan about a fit, metres, from the median of kept distances."""
+    pairs = outcome.trial.matches[0]
+    squared = pairs.squared[pairs.kept]
+    if len(squared) == 0:
+        return 2e-4
+    return float(np.clip(np.sqrt(np.median(squared)) / 0.6745, 1e-4, 2e-3))
+
+
+def last_stage(stage: Stage, noise_m: float) -> Stage:
+    """Return the final stage at a scan's own noise."""
+    return replace(stage, noise_m=noise_m, sigma_m=max(stage.sigma_m, 4 * noise_m),
+                   cut_m=max(stage.cut_m, 12 * noise_m))  # fmt: skip

@@ -1,0 +1,195 @@
+"""What a fit says about itself, without any truth.
+
+Residuals alone are blind to what they cannot see: one wrong finger is one or two per cent of the
+points, and a hidden finger tip has none. So residuals are looked at part by part, and the inverse
+Hessian tells how well each vertex is determined at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.models import BodyModel
+from synthgen.models.joints import FINGERS
+from synthgen.registration.scan import Scan, nearest
+from synthgen.registration.surface import Placed
+from synthgen.registration.terms import closest
+
+Array = NDArray[np.float64]
+PARTS = ("palm", *FINGERS)
+NEAR_M, EVALUATED = 0.010, 20_000
+LEAST_POINTS, COVERED_M = 60, 0.0025
+# 95 % quantile over the median of a half-normal.
+HALF_NORMAL = 2.906
+# Relative standard error of that quantile, times the root of the number of points.
+QUANTILE_ERROR = 0.95
+# A p95 below this is good whatever the median: the model's own limits, not the noise.
+LEAST_P95_M = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Truth-free statistics of a fit; distances in metres.
+
+    Attributes
+    ----------
+    explained : float
+        Share of the points near the model that lie within ``limit_m`` of it and face alike.
+    far : float
+        Share of all points farther than 10 mm, open rims not counted.
+    noise_m : float
+        Standard deviation of the points about the surface.
+    local_noise_m : float
+        Their own scatter, about local planes: less than ``noise_m`` where the model misfits.
+    unexplained : (6,) and p95_m : (6,)
+        By part (palm, index, middle, pinky, ring, thumb); NaN where a part has few points.
+    ratio : float
+        Worst part's p95 over the global median, 1 for normal noise, less 2.5 standard errors of
+        that quantile (small parts have few points).
+    coverage : (6,)
+        Share of a part's vertices with a scan point within 2.5 mm that faces alike.
+    sd_m : (V,)
+        Predicted standard deviation of each vertex.
+    sd95_m : (6,)
+        Its 95 % quantile by part.
+    """
+
+    explained: float
+    far: float
+    limit_m: float
+    noise_m: float
+    local_noise_m: float
+    rms_m: float
+    unexplained: Array
+    p95_m: Array
+    ratio: float
+    coverage: Array
+    sd_m: Array
+    sd95_m: Array
+
+    @property
+    def worst_unexplained(self) -> float:
+        """Largest unexplained share of a part."""
+        return float(np.nanmax(self.unexplained, initial=0.0))
+
+    @property
+    def worst_part(self) -> str:
+        """Part with the largest unexplained share."""
+        return PARTS[int(np.nanargmax(np.nan_to_num(self.unexplained, nan=-1.0)))]
+
+    @property
+    def sd95_all_m(self) -> float:
+        """95 % quantile of the predicted standard deviations of all vertices."""
+        return float(np.quantile(self.sd_m, 0.95))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the statistics as JSON types."""
+        by_part = {
+            part: {
+                "unexplained": _number(self.unexplained[k]),
+                "p95_mm": _number(1e3 * self.p95_m[k]),
+                "coverage": _number(self.coverage[k]),
+                "predicted_sd95_mm": _number(1e3 * self.sd95_m[k]),
+            }
+            for k, part in enumerate(PARTS)
+        }
+        return {
+            "explained": self.explained,
+            "far_share": self.far,
+            "scan_to_mesh_rms_mm": 1e3 * self.rms_m,
+            "noise_mm": 1e3 * self.noise_m,
+            "local_noise_mm": 1e3 * self.local_noise_m,
+            "worst_part_unexplained": self.worst_unexplained,
+            "worst_part_p95_ratio": self.ratio,
+            "predicted_vertex_sd_mm": {
+                "median": 1e3 * float(np.median(self.sd_m)),
+                "p95": 1e3 * self.sd95_all_m,
+            },
+            "parts": by_part,
+        }
+
+
+def _number(value: float) -> float | None:
+    return None if not np.isfinite(value) else float(value)
+
+
+@lru_cache(maxsize=8)
+def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
+    """Return (V,) 0 for the palm, 1-5 for the finger that moves each vertex most."""
+    joint = model.weights.argmax(axis=1)
+    return np.where(joint == 0, 0, (joint + 2) // 3)
+
+
+def statistics(placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0) -> Statistics:
+    """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage."""
+    points, normals = scan.points[-EVALUATED:], scan.normals[-EVALUATED:]
+    pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved)
+    distance = np.sqrt(pairs.squared)
+    facing = np.sum(pairs.normal * normals, axis=1) > 0.3
+    near = pairs.kept
+    median = float(np.median(distance[near])) if near.any() else NEAR_M
+    noise = median / 0.6745
+    limit = max(1e-3, 4 * noise)
+    bad = (distance > limit) | ~facing
+    part = part_of_vertex(placed.surface.model)[
+        pairs.triangle[np.arange(len(points)), pairs.barycentric.argmax(axis=1)]
+    ]
+    unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
+    for k in range(len(PARTS)):
+        own = near & (part == k)
+        if own.sum() >= LEAST_POINTS:
+            unexplained[k] = bad[own].mean()
+            p95[k] = np.quantile(distance[own], 0.95)
+            ratios[k] = p95[k] / max(HALF_NORMAL * median, LEAST_P95_M)
+            ratios[k] -= 2.5 * QUANTILE_ERROR / np.sqrt(own.sum())
+    inner = near & ~bad
+    covered = coverage(placed, scan)
+    sd = predicted_sd(placed, hessian)
+    by_vertex = part_of_vertex(placed.surface.model)
+    return Statistics(
+        explained=float((~bad)[near].mean()) if near.any() else 0.0,
+        far=float((~near & ~pairs.rim).mean()),
+        limit_m=limit,
+        noise_m=noise,
+        local_noise_m=scan.local_noise_m,
+        rms_m=float(np.sqrt(np.mean(distance[inner] ** 2))) if inner.any() else NEAR_M,
+        unexplained=unexplained,
+        p95_m=p95,
+        ratio=float(np.nanmax(ratios, initial=0.0)),
+        coverage=np.array([covered[by_vertex == k].mean() for k in range(len(PARTS))]),
+        sd_m=sd,
+        sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
+    )
+
+
+def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
+    """Return (V,) whether a scan point lies within 2.5 mm and faces alike."""
+    distance, near = nearest(scan.tree, placed.vertices, 4 * COVERED_M)
+    found = np.isfinite(distance)
+    alike = np.zeros(len(distance), dtype=bool)
+    alike[found] = np.sum(placed.normals[found] * scan.normals[near[found]], axis=1) > 0.3
+    return np.asarray(alike & (distance < COVERED_M))
+
+
+def predicted_sd(placed: Placed, hessian: Array) -> Array:
+    """Predict vertex standard deviations (V,), metres, from J H^-1 J^T."""
+    n = len(hessian)
+    ridge = 1e-12 * np.trace(hessian) / n
+    root = np.linalg.cholesky(np.linalg.inv(hessian + ridge * np.eye(n)))
+    spread = placed.jacobian.reshape(-1, n) @ root
+    return np.asarray(np.sqrt(np.sum(spread**2, axis=1).reshape(-1, 3).sum(axis=1)))
+
+
+def early_explained(placed: Placed, scan: Scan, limit_m: float = 0.003) -> float:
+    """Share of points near the model that lie within 3 mm: a cheap test of a half-finished fit."""
+    points, normals = scan.points[-2000:], scan.normals[-2000:]
+    pairs = closest(placed, points, normals, cut_m=0.03, cosine=-2.0)
+    facing = np.sum(pairs.normal * normals, axis=1) > 0.3
+    near = pairs.kept
+    good = (pairs.squared < limit_m**2) & facing
+    return float(good[near].mean()) if near.any() else 0.0

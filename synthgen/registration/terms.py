@@ -1,0 +1,382 @@
+"""The terms of the energy (Embodied Hands, Eq. 5-9, 13-21), each with its residual and Jacobian.
+
+Every term is ``sum_i w_i r_i(x)^2`` near a point x: it first *matches* (finds correspondences and
+robust weights, frozen inside one step), then hands out a :class:`Block` with rows of dr/dx. Its
+``cost`` is the true, robust cost; rejected correspondences cost the plateau, so that no step wins
+by losing points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from synthgen.registration.scan import Scan, nearest
+from synthgen.registration.surface import Placed, Surface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Residuals (m,), their derivatives (m, n) and weights (m,) at a frozen match."""
+
+    residual: Array
+    rows: Array
+    weight: Array
+
+
+class Term(Protocol):
+    """One summand of the energy."""
+
+    def match(self, placed: Placed) -> Any:
+        """Find what stays fixed inside a step."""
+
+    def cost(self, placed: Placed, match: Any) -> float:
+        """Return the robust cost."""
+
+    def blocks(self, placed: Placed, match: Any) -> list[Block]:
+        """Linearise the residuals at a match."""
+
+
+@dataclass(frozen=True)
+class GemanMcClure:
+    """rho(d) = s^2 d^2 / (s^2 + d^2) (Eq. 6): the plateau is s^2."""
+
+    sigma_m: float
+
+    def cost(self, squared: Array, kept: NDArray[np.bool_]) -> Array:
+        """Cost (m,) of squared distances; the plateau where not kept."""
+        s2 = self.sigma_m**2
+        return np.where(kept, s2 * squared / (s2 + squared), s2)
+
+    def weight(self, squared: Array, kept: NDArray[np.bool_]) -> Array:
+        """Weight (m,) of iterated least squares, d rho / d(d^2); 0 where not kept."""
+        s2 = self.sigma_m**2
+        return np.where(kept, (s2 / (s2 + squared)) ** 2, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Scan points and their closest points on the mesh.
+
+    Attributes
+    ----------
+    triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
+        The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
+        triangle to the curved surface.
+    squared : (m,) metres^2
+    kept : (m,) bool, near enough, facing alike, not off the rim
+    rim : (m,) bool, closest point on an open boundary
+    """
+
+    triangle: NDArray[np.int64]
+    barycentric: Array
+    shift: Array
+    normal: Array
+    squared: Array
+    kept: NDArray[np.bool_]
+    rim: NDArray[np.bool_]
+
+
+def closest(
+    placed: Placed,
+    points: Array,
+    normals: Array,
+    *,
+    cut_m: float,
+    cosine: float,
+    curved: float = 0.0,
+) -> Pairs:
+    """Closest points on the mesh (libigl), with interpolated (Phong) normals.
+
+    ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
+    0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
+    skin is.
+    """
+    import igl
+
+    s = placed.surface
+    squared, face, point = igl.point_mesh_squared_distance(points, placed.vertices, s.faces)[:3]
+    triangle = s.faces[face]
+    barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
+    agree, shift = np.empty(len(points)), np.empty((len(points), 3))
+    rim = np.empty(len(points), dtype=np.bool_)
+    _attributes(placed.vertices, placed.normals, triangle, np.ascontiguousarray(point), normals,
+                s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
+    kept = (squared < cut_m**2) & (agree > cosine) & ~rim
+    return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanToMesh:
+    """Point-to-plane distance of scan points from the mesh (Eq. 6, 14), sliding allowed.
+
+    Attributes
+    ----------
+    points, normals : (m, 3)
+        The subsample.
+    weight : float
+        Of the whole sum, per metre^2 of mean cost.
+    rho : GemanMcClure
+    cut_m : float
+        Largest distance of a correspondence, metres.
+    cosine : float
+        Smallest cosine between the normals of scan and mesh.
+    tangential : float
+        Share of the point-to-point distance added, which ties down sliding far from the optimum.
+    curved : float
+        See :func:`closest`.
+    """
+
+    points: Array
+    normals: Array
+    weight: float
+    rho: GemanMcClure
+    cut_m: float
+    cosine: float
+    tangential: float = 0.0
+    curved: float = 0.0
+
+    def match(self, placed: Placed) -> Pairs:
+        """Find closest points."""
+        return closest(
+            placed,
+            self.points,
+            self.normals,
+            cut_m=self.cut_m,
+            cosine=self.cosine,
+            curved=self.curved,
+        )
+
+    def cost(self, placed: Placed, match: Pairs) -> float:
+        """Return the weighted mean robust cost."""
+        return self.weight * float(self.rho.cost(match.squared, match.kept).mean())
+
+    def blocks(self, placed: Placed, match: Pairs) -> list[Block]:
+        """Rows n . sum b dv/dx; with ``tangential`` also the three coordinates."""
+        w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
+        used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
+        t, b, w = match.triangle[used], match.barycentric[used], w[used]
+        corner = placed.vertices[t]
+        offset = np.einsum("mk,mka->ma", b, corner) + match.shift[used] - self.points[used]
+        blocks = [
+            Block(np.sum(offset * match.normal[used], axis=1),
+                  _rows(placed.jacobian, t, b, match.normal[used]), w)
+        ]  # fmt: skip
+        for axis in range(3 if self.tangential > 0 else 0):
+            along = np.tile(np.eye(3)[axis], (len(used), 1))
+            rows = _rows(placed.jacobian, t, b, along)
+            blocks.append(Block(offset[:, axis], rows, self.tangential * w))
+        return blocks
+
+
+@dataclass(frozen=True, eq=False)
+class MeshToScan:
+    """Distance of visible mesh vertices from the scan (Eq. 15), along the scan's normals.
+
+    ``visible`` (V,) says which vertices the sensors could see, where that is known; rim vertices
+    and vertices over holes (farther than ``cut_m``) are left out at the plateau.
+    """
+
+    scan: Scan
+    weight: float
+    rho: GemanMcClure
+    cut_m: float
+    cosine: float
+    visible: NDArray[np.bool_] | None = None
+
+    def match(self, placed: Placed) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+        """Nearest scan points, squared distances, and which pairs count."""
+        distance, near = nearest(self.scan.tree, placed.vertices)
+        facing = np.sum(placed.normals * self.scan.normals[near], axis=1)
+        kept = (distance < self.cut_m) & (facing > self.cosine) & ~placed.surface.rim
+        if self.visible is not None:
+            kept &= self.visible
+        return near, distance**2, kept
+
+    def cost(self, placed: Placed, match: Any) -> float:
+        """Return the weighted mean robust cost."""
+        return self.weight * float(self.rho.cost(match[1], match[2]).mean())
+
+    def blocks(self, placed: Placed, match: Any) -> list[Block]:
+        """Rows n_scan . dv/dx."""
+        near, squared, kept = match
+        w = self.weight / len(squared) * self.rho.weight(squared, kept)
+        used = np.flatnonzero(w)
+        normal = self.scan.normals[near[used]]
+        residual = np.sum((placed.vertices[used] - self.scan.points[near[used]]) * normal, axis=1)
+        return [Block(residual, np.einsum("va,van->vn", normal, placed.jacobian[used]), w[used])]
+
+
+def _constant_rows(n: int, where: slice, rows: Array) -> Array:
+    full = np.zeros((len(rows), n))
+    full[:, where] = rows
+    return full
+
+
+@dataclass(frozen=True, eq=False)
+class MixturePrior:
+    """Hand pose prior: the best component of a Gaussian mixture (Eq. 17-19, max approximation).
+
+    Attributes
+    ----------
+    where : slice
+        The hand's 45 angles in the vector.
+    means : (k, 45), whiten : (k, 45, 45), constants : (k,)
+        Residual ``whiten (h - mean)``; constants are -log weight + log det / 2, lowest zero.
+    """
+
+    where: slice
+    means: Array
+    whiten: Array
+    constants: Array
+    weight: float = 1.0
+
+    def match(self, placed: Placed) -> int:
+        """Return the component of least energy."""
+        off = np.einsum("kab,kb->ka", self.whiten, placed.x[self.where] - self.means)
+        return int(np.argmin(self.constants + 0.5 * np.sum(off**2, axis=1)))
+
+    def cost(self, placed: Placed, match: int) -> float:
+        """Return twice the negative log of the component."""
+        off = self.whiten[match] @ (placed.x[self.where] - self.means[match])
+        return self.weight * float(2 * self.constants[match] + off @ off)
+
+    def blocks(self, placed: Placed, match: int) -> list[Block]:
+        """Whitened offsets from the component's mean."""
+        residual = self.whiten[match] @ (placed.x[self.where] - self.means[match])
+        rows = _constant_rows(placed.surface.n, self.where, self.whiten[match])
+        return [Block(residual, rows, np.full(len(residual), self.weight))]
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPrior:
+    """Independent normals on a slice: shape (Eq. 9), a protocol's pose, zero velocity (Eq. 21).
+
+    ``mean`` (m,) and ``sd`` (m,) in the parameters' units; the previous frame's pose as mean makes
+    it the zero-velocity term.
+    """
+
+    where: slice
+    mean: Array
+    sd: Array
+    weight: float = 1.0
+
+    def match(self, placed: Placed) -> None:
+        """Nothing to find."""
+
+    def cost(self, placed: Placed, match: None) -> float:
+        """Return the Mahalanobis distance squared."""
+        return self.weight * float(np.sum(((placed.x[self.where] - self.mean) / self.sd) ** 2))
+
+    def blocks(self, placed: Placed, match: None) -> list[Block]:
+        """Offsets in standard deviations."""
+        residual = (placed.x[self.where] - self.mean) / self.sd
+        rows = _constant_rows(placed.surface.n, self.where, np.diag(1 / self.sd))
+        return [Block(residual, rows, np.full(len(residual), self.weight))]
+
+
+def shape_prior(surface: Surface, weight: float = 1.0) -> GaussianPrior:
+    """Mahalanobis distance of the betas (Eq. 9)."""
+    nb = surface.model.n_shape
+    return GaussianPrior(surface.shape, np.zeros(nb), np.ones(nb), weight)
+
+
+def velocity_prior(surface: Surface, previous: Array, sd_rad: float) -> GaussianPrior:
+    """Zero-velocity term (Eq. 21): stay at the previous frame's pose, sd radians per angle."""
+    mean = previous[surface.pose].copy()
+    return GaussianPrior(surface.pose, mean, np.full(len(mean), sd_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointTerm:
+    """Distances of joints from known 3-D keypoints (m, 3), metres, sd ``sd_m``; optional."""
+
+    joints: NDArray[np.int64]
+    keypoints: Array
+    sd_m: float
+
+    def match(self, placed: Placed) -> None:
+        """Nothing to find."""
+
+    def cost(self, placed: Placed, match: None) -> float:
+        """Return squared distances in standard deviations."""
+        return float(np.sum(((placed.joints[self.joints] - self.keypoints) / self.sd_m) ** 2))
+
+    def blocks(self, placed: Placed, match: None) -> list[Block]:
+        """Three rows a joint."""
+        residual = ((placed.joints[self.joints] - self.keypoints) / self.sd_m).ravel()
+        rows = placed.joint_jacobian[self.joints].reshape(-1, placed.surface.n) / self.sd_m
+        return [Block(residual, rows, np.ones(len(residual)))]
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _attributes(
+    vertices: Any, vertex_normals: Any, triangle: Any, point: Any, scan_normals: Any, rim: Any,
+    curved: float, scan: Any, barycentric: Any, shift: Any, squared: Any, normal: Any, agree: Any,
+    on_rim: Any,
+) -> None:  # fmt: skip
+    """Barycentrics of points on triangles, Phong normals, cosines, and whether on an open edge."""
+    for i in range(len(triangle)):
+        a, b, c = triangle[i, 0], triangle[i, 1], triangle[i, 2]
+        uu, uv, vv, wu, wv = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            u, v = vertices[b, k] - vertices[a, k], vertices[c, k] - vertices[a, k]
+            w = point[i, k] - vertices[a, k]
+            uu, uv, vv, wu, wv = uu + u * u, uv + u * v, vv + v * v, wu + w * u, wv + w * v
+        area = max(uu * vv - uv * uv, 1e-30)
+        x, y = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+        z = 1.0 - x - y
+        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = z, x, y
+        total, cosine = 0.0, 0.0
+        for k in range(3):
+            n = z * vertex_normals[a, k] + x * vertex_normals[b, k] + y * vertex_normals[c, k]
+            normal[i, k] = n
+            total += n * n
+            cosine += n * scan_normals[i, k]
+        length = max(np.sqrt(total), 1e-12)
+        for k in range(3):
+            normal[i, k] /= length
+        agree[i] = cosine / length
+        if curved > 0.0:
+            moved_x, moved_y, moved_z = 0.0, 0.0, 0.0
+            for corner in range(3):
+                v, share = triangle[i, corner], barycentric[i, corner]
+                above = 0.0
+                for k in range(3):
+                    above += (vertices[v, k] - point[i, k]) * vertex_normals[v, k]
+                moved_x += share * above * vertex_normals[v, 0]
+                moved_y += share * above * vertex_normals[v, 1]
+                moved_z += share * above * vertex_normals[v, 2]
+            shift[i, 0], shift[i, 1], shift[i, 2] = moved_x, moved_y, moved_z
+            total = 0.0
+            for k in range(3):
+                shift[i, k] *= curved
+                off = point[i, k] + shift[i, k] - scan[i, k]
+                total += off * off
+            squared[i] = total
+        else:
+            shift[i] = 0.0
+        inner = 0.0  # weight on vertices that are not on the rim
+        inner += 0.0 if rim[a] else z
+        inner += 0.0 if rim[b] else x
+        inner += 0.0 if rim[c] else y
+        on_rim[i] = inner < 1e-9
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _rows(jacobian: Any, triangle: Any, barycentric: Any, direction: Any) -> Any:
+    """Differentiate points on triangles along directions: (m, n)."""
+    out = np.zeros((len(triangle), jacobian.shape[2]))
+    for i in range(len(triangle)):
+        for corner in range(3):
+            v, b = triangle[i, corner], barycentric[i, corner]
+            x, y, z = b * direction[i, 0], b * direction[i, 1], b * direction[i, 2]
+            for p in range(jacobian.shape[2]):
+                out[i, p] += x * jacobian[v, 0, p] + y * jacobian[v, 1, p] + z * jacobian[v, 2, p]
+    return out

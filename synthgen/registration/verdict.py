@@ -1,0 +1,80 @@
+"""From statistics to a verdict: pass, unobserved, or fail with a reason from a fixed list."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from synthgen.registration.statistics import PARTS, Statistics
+
+Verdict = Literal["pass", "unobserved", "fail"]
+REASONS = (
+    "no_points",  # empty scan, or too few finite points
+    "scale",  # extent does not fit a hand: wrong unit
+    "background",  # much of the scan is no hand
+    "two_hands",  # two hand-sized pieces
+    "flipped_normals",  # normals point into the hand
+    "other_hand",  # fits as the other side
+    "cold_start_failed",  # no start led to a fit that explains the scan
+    "finger_swap",  # (part) two parts are badly explained
+    "finger_missed",  # (part) one part is badly explained
+    "hole",  # (parts) the scan does not determine them: verdict unobserved
+    "shape_limit",  # a shape coefficient beyond 4 standard deviations
+    "not_converged",
+    "noise_above_spec",  # points scatter by more than 2 mm
+    "truth_mismatch",  # round trip only: the fit is good and the truth is far
+)
+UNEXPLAINED, RATIO, EXPLAINED = 0.035, 1.17, 0.95
+# Where the model misfits (detail it cannot express), residuals are no longer like noise.
+MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
+SD95_M, SD_PER_NOISE = 5e-4, 0.7
+FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict, its reason ("" for pass) and the parts it is about."""
+
+    verdict: Verdict
+    reason: str = ""
+    parts: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The reason with its parts: ``finger_missed(index)``."""
+        return f"{self.reason}({', '.join(self.parts)})" if self.parts else self.reason
+
+
+def sd_limit_m(noise_m: float) -> float:
+    """Largest predicted vertex sd (95 %) of a pass; grows with the scan's noise."""
+    return max(SD95_M, SD_PER_NOISE * noise_m)
+
+
+def judge(s: Statistics, shape: np.ndarray) -> Judgement:
+    """Judge one finished fit."""
+    misfit = s.noise_m > MISFIT * s.local_noise_m
+    ratio, unexplained = (MISFIT_RATIO, MISFIT_UNEXPLAINED) if misfit else (RATIO, UNEXPLAINED)
+    bad = [PARTS[k] for k in np.argsort(-np.nan_to_num(s.unexplained))
+           if s.unexplained[k] >= unexplained]  # fmt: skip
+    if s.noise_m > NOISE_M:
+        return Judgement("fail", "noise_above_spec")
+    if s.explained < EXPLAINED or len(bad) > 2:
+        return Judgement("fail", "cold_start_failed")
+    if s.far > FAR:
+        return Judgement("fail", "background")
+    if len(bad) == 2 and "palm" not in bad:
+        return Judgement("fail", "finger_swap", tuple(bad))
+    if bad:
+        return Judgement("fail", "finger_missed", tuple(bad))
+    if s.ratio >= ratio:
+        worst = PARTS[int(np.nanargmax(np.nan_to_num(s.p95_m)))]
+        return Judgement("fail", "finger_missed", (worst,))
+    if np.abs(shape).max() > SHAPE_SD:
+        return Judgement("fail", "shape_limit")
+    limit = sd_limit_m(s.noise_m)
+    if s.sd95_all_m > limit:
+        hidden = tuple(p for p, sd in zip(PARTS, s.sd95_m, strict=True) if sd > limit)
+        return Judgement("unobserved", "hole", hidden)
+    return Judgement("pass")

@@ -1,0 +1,1 @@
+"""What needs torch: training of the registration's initialiser."""

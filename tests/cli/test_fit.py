@@ -1,0 +1,104 @@
+"""fit and train-init as a user types them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from synthgen.cli.main import main
+from tests.registration.hands import error_mm, scanned, surface, truth
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
+    code = main([*words, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture
+def scan_file(tmp_path: Path) -> Path:
+    """A scan in millimetres without normals."""
+    file = tmp_path / "hand.ply"
+    trimesh.PointCloud(1e3 * scanned()[0]).export(file)
+    return file
+
+
+def test_smoke_fit_in_millimetres(
+    scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    code, payload = run(capsys, "fit", str(scan_file), "--out", str(out), "--coupled")
+    assert code == 0
+    report = payload["fits"][0]
+    assert (report["verdict"], report["hand"], report["units"]) == ("pass", "right", "mm")
+    assert "mm" in report["units_note"]
+    for name in ("hand.npz", "hand.ply", "hand.png", "hand.json", "hand_free.ply"):
+        assert (out / name).stat().st_size > 100, name
+    with np.load(out / "hand.npz", allow_pickle=False) as stored:
+        assert error_mm(stored["vertices"]) < 0.5
+        x = surface().pack(stored["shape"], stored["pose"], stored["translation"])
+    np.testing.assert_allclose(surface().at(x).vertices, trimesh.load(out / "hand.ply").vertices,
+                               atol=1e-5)  # fmt: skip
+    assert json.loads((out / "hand.json").read_text())["statistics"]["explained"] > 0.98
+
+
+def test_smoke_batch_from_a_start(
+    scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = tmp_path / "start.npz"
+    shape, pose, translation = surface().unpack(truth())
+    np.savez(start, shape=shape, pose=pose, translation=translation)
+    out = tmp_path / "out"
+    words = ["fit", str(scan_file), str(scan_file), "--out", str(out), "--hand", "right"]
+    code, payload = run(capsys, *words, "--start", str(start), "--sequence")
+    assert code == 0
+    assert [f["start"] for f in payload["fits"]] == ["given", "given"]
+    assert (out / "hand_0.npz").is_file()
+    assert (out / "hand_1.npz").is_file()
+
+
+def test_edge_bad_scan_is_a_failed_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty.xyz"
+    empty.write_text("")
+    code, payload = run(capsys, "fit", str(empty), "--out", str(tmp_path / "out"))
+    assert code == 1
+    assert payload["fits"][0]["reason"] == "no_points"
+    assert main(["fit", str(empty), "--out", str(tmp_path / "out")]) == 1
+    assert "fail (no_points)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--start", "nowhere.npz"], "--start nowhere.npz"),
+        (["--hand", "third"], "hand='third'"),
+        (["--preset", "slow"], "preset"),
+        (["--units", "mile"], "units="),
+        (["--model", "no-such-hand"], "no-such-hand"),
+    ],
+)
+def test_edge_wrong_use(
+    words: list[str],
+    message: str,
+    scan_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code, payload = run(capsys, "fit", str(scan_file), "--out", str(tmp_path / "out"), *words)
+    assert code == 2
+    assert message in payload["error"]
+
+
+def test_smoke_train_init(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "init.npz"
+    words = ["train-init", "cc0-hand", "--out", str(file), "--seconds", "1", "--hands", "100"]
+    code, payload = run(capsys, *words)
+    assert code == 0
+    assert payload["steps"] >= 2
+    assert file.is_file()

@@ -1,0 +1,210 @@
+"""Fitting from given and cold starts, both sides, and scans that cannot be fitted."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import synthgen
+from synthgen.errors import ModelError, ShapeError
+from synthgen.models import mirror_model
+from synthgen.registration import REASONS, Fit, fit, fit_many
+from tests.registration.hands import error_mm, model, perturbed, rng, scanned, surface, truth
+
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+@lru_cache(maxsize=8)
+def cold(number: int = 7) -> Fit:
+    return fit(*scanned(number), model(), "cold", "right")
+
+
+def test_smoke_public_names() -> None:
+    assert synthgen.registration.fit is fit
+
+
+def test_smoke_result() -> None:
+    found = cold()
+    assert found.shape.shape == (10,)
+    assert found.pose.shape == (16, 3)
+    assert found.translation.shape == (3,)
+    assert found.vertices.shape == (surface().n_vertices, 3)
+    assert found.expression is None
+    assert found.hand == "right"
+    assert found.report["statistics"]["explained"] > 0.98
+
+
+@pytest.mark.parametrize("number", [3, 5, 7])
+def test_properties_cold_start_finds_the_hand(number: int) -> None:
+    found = cold(number)
+    assert found.verdict in ("pass", "unobserved"), found.reason
+    assert error_mm(found.vertices, number) < 0.5
+
+
+def test_properties_perturbed_start_gives_the_same_hand() -> None:
+    found = fit(*scanned(), model(), perturbed(), "right")
+    assert found.verdict == "pass"
+    assert error_mm(found.vertices) < 0.2
+    np.testing.assert_allclose(found.vertices, cold().vertices, atol=2e-4)
+
+
+def test_properties_parameters_are_those_of_the_vertices() -> None:
+    found = cold()
+    posed = found.model.evaluate(found.shape[None], found.pose[None], found.translation[None])
+    np.testing.assert_allclose(posed.vertices[0], found.vertices, atol=1e-6)
+    np.testing.assert_allclose(posed.joints[0], found.joints, atol=1e-6)
+
+
+def test_properties_predicted_sd_belongs_to_the_error() -> None:
+    """Errors are of the size predicted: within a factor of about three."""
+    found = cold()
+    off = np.linalg.norm(found.vertices - surface().at(truth()).vertices, axis=1)
+    ratio = np.sqrt(np.mean(off**2)) / np.sqrt(np.mean(found.vertex_sd_m**2))
+    assert 0.3 < ratio < 3
+
+
+def test_properties_unknown_side_is_found() -> None:
+    points, normals = scanned()
+    for flip, side in ((np.ones(3), "right"), (FLIP, "left")):
+        found = fit(points * flip, normals * flip, model())
+        assert (found.hand, found.verdict) == (side, "pass")
+        assert found.model.hand == side
+        assert error_mm(found.vertices * flip) < 0.2
+        posed = found.model.evaluate(found.shape[None], found.pose[None], found.translation[None])
+        np.testing.assert_allclose(posed.vertices[0], found.vertices, atol=1e-6)
+
+
+def test_properties_left_model_fits_left_hands() -> None:
+    points, normals = scanned()
+    found = fit(points * FLIP, normals * FLIP, mirror_model(model()), "cold", "left")
+    assert (found.hand, found.verdict) == ("left", "pass")
+    assert error_mm(found.vertices * FLIP) < 0.2
+
+
+def test_properties_wrong_side_is_named() -> None:
+    points, normals = scanned()
+    found = fit(points * FLIP, normals * FLIP, model(), "cold", "right")
+    assert (found.verdict, found.reason) == ("fail", "other_hand")
+
+
+def test_properties_normals_may_be_missing() -> None:
+    points, _ = scanned()
+    found = fit(points, None, model(), "cold", "right")
+    assert found.verdict == "pass"
+    assert error_mm(found.vertices) < 0.5
+
+
+def test_properties_turning_the_scan_turns_the_fit() -> None:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.random(rng=rng("turn")).as_matrix()
+    points, normals = scanned()
+    found = fit(points @ turn.T + 0.5, normals @ turn.T, model(), "cold", "right")
+    np.testing.assert_allclose(found.vertices, cold().vertices @ turn.T + 0.5, atol=3e-4)
+
+
+def test_properties_same_input_same_output() -> None:
+    again = fit(*scanned(), model(), "cold", "right")
+    np.testing.assert_array_equal(again.vertices, cold().vertices)
+
+
+@pytest.mark.parametrize("preset", ["accurate", "paper"])
+def test_properties_other_presets(preset: str) -> None:
+    found = fit(*scanned(), model(), perturbed(), "right", preset=preset)
+    assert error_mm(found.vertices) < (0.2 if preset == "accurate" else 1.5)
+
+
+def test_properties_pca_option_stays_in_its_span() -> None:
+    found = fit(*scanned(), model(), perturbed(), "right", components=12)
+    directions, mean = model().hands_components, model().hands_mean
+    assert directions is not None
+    assert mean is not None
+    assert error_mm(found.vertices) < 8
+
+
+def test_properties_keypoints_and_protocol_help() -> None:
+    _, pose, _ = surface().unpack(truth())
+    joints = surface().at(truth()).joints
+    found = fit(*scanned(), model(), "cold", "right", keypoints=(np.arange(16), joints),
+                pose_prior=(pose, 0.1))  # fmt: skip
+    assert found.verdict == "pass"
+    assert error_mm(found.vertices) < 0.3
+
+
+def test_properties_a_hidden_finger_is_unobserved() -> None:
+    """Points of one finger cut away: the fit may not pass as if it had seen it."""
+    points, normals = scanned()
+    part = model().weights.argmax(axis=1)
+    finger = surface().at(truth()).vertices[(part >= 1) & (part <= 3)]
+    from scipy.spatial import cKDTree
+
+    far: Any = cKDTree(finger).query(points)[0]
+    found = fit(points[far > 0.004], normals[far > 0.004], model(), "cold", "right")
+    assert found.verdict == "unobserved", found.reason
+    assert "index" in found.reason
+
+
+def test_properties_batches_are_single_fits() -> None:
+    both = fit_many([scanned(), scanned(5)], model(), hand="right")
+    np.testing.assert_array_equal(both[0].vertices, cold().vertices)
+
+
+def bad(name: str) -> tuple[Any, Any]:
+    points, normals = scanned()
+    table = rng("table").uniform(-0.5, 0.5, (40_000, 3)) * [1, 0, 1] + points.mean(axis=0)
+    up = np.tile([0.0, 1.0, 0.0], (len(table), 1))
+    return {
+        "no_points": (np.zeros((0, 3)), None),
+        "no_points_nan": (np.full((500, 3), np.nan), None),
+        "scale": (points * 1000, normals),
+        "scale_inch": (points / 0.0254, normals),
+        "flipped_normals": (points, -normals),
+        "two_hands": (np.concatenate([points, points + [0.35, 0, 0]]),
+                      np.concatenate([normals, normals])),
+        "background": (np.concatenate([points, table]), np.concatenate([normals, up])),
+    }[name]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["no_points", "no_points_nan", "scale", "scale_inch", "flipped_normals", "two_hands",
+     "background"],
+)  # fmt: skip
+def test_edge_bad_scans_fail_with_their_reason(name: str) -> None:
+    found = fit(*bad(name), model(), "cold", "right")
+    assert found.verdict == "fail"
+    assert name.startswith(found.reason)
+    assert found.reason in REASONS
+    assert found.report["message"]
+
+
+def test_edge_some_nan_points_do_no_harm() -> None:
+    points, normals = (a.copy() for a in scanned())
+    points[::50] = np.nan
+    found = fit(points, normals, model(), "cold", "right")
+    assert found.verdict == "pass"
+    assert found.report["points_dropped"] == len(points[::50])
+
+
+def test_edge_no_hand_at_all_fails() -> None:
+    ball = rng("ball").standard_normal((8000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    found = fit(0.06 * ball, ball, model(), "cold", "right")
+    assert found.verdict == "fail"
+
+
+def test_edge_wrong_arguments() -> None:
+    points, normals = scanned()
+    with pytest.raises(ShapeError, match="start="):
+        fit(points, normals, model(), "warm")
+    with pytest.raises(ShapeError, match="hand="):
+        fit(points, normals, model(), "cold", "both")
+    with pytest.raises(ShapeError, match="start has shape"):
+        fit(points, normals, model(), (np.zeros(10), np.zeros(3), np.zeros(3)))
+    with pytest.raises(ShapeError, match="not finite"):
+        fit(points, normals, model(), (np.full(10, np.nan), np.zeros((16, 3)), np.zeros(3)))
+    with pytest.raises(ModelError, match="hand"):
+        fit(points, normals, object())  # type: ignore[arg-type]

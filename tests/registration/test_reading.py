@@ -1,0 +1,79 @@
+"""Files of every kind, and units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from synthgen.errors import ShapeError
+from synthgen.registration.reading import read_scan
+from tests.registration.hands import scanned, surface, truth
+
+
+def cloud() -> np.ndarray:
+    return scanned()[0][:3000]
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "glb", "stl"])
+def test_smoke_meshes(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / f"scan.{kind}"
+    placed = surface().at(truth())
+    trimesh.Trimesh(placed.vertices, surface().faces, process=False).export(file)
+    found = read_scan(file)
+    assert found.units == "m"
+    assert found.normals is not None
+    assert len(found.points) == len(found.normals) >= 20_000
+    np.testing.assert_allclose(found.points.min(axis=0), placed.vertices.min(axis=0), atol=2e-3)
+
+
+def test_reference_point_cloud_and_text(tmp_path: Path) -> None:
+    ply, text = tmp_path / "cloud.ply", tmp_path / "cloud.xyz"
+    trimesh.PointCloud(cloud()).export(ply)
+    np.savetxt(text, np.concatenate([cloud(), scanned()[1][:3000]], axis=1), header="x y z n n n")
+    points = read_scan(ply)
+    np.testing.assert_allclose(points.points, cloud(), atol=1e-6)
+    assert points.normals is None
+    rows = read_scan(text)
+    np.testing.assert_allclose(rows.points, cloud())
+    assert rows.normals is not None
+
+
+@pytest.mark.parametrize(("units", "factor"), [("mm", 1e3), ("cm", 1e2), ("inch", 1 / 0.0254)])
+def test_properties_units_are_guessed_or_said(units: str, factor: float, tmp_path: Path) -> None:
+    file = tmp_path / "cloud.xyz"
+    np.savetxt(file, factor * cloud())
+    found = read_scan(file)
+    if found.units:
+        assert found.units == units
+        assert "converted" in found.note
+        np.testing.assert_allclose(found.points, cloud(), atol=1e-9)
+    else:
+        assert units in found.note
+    given = read_scan(file, units)
+    np.testing.assert_allclose(given.points, cloud(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("a.xyz", "1 2\n3 4\n"), ("a.xyz", "one two three\n"), ("a.ply", "ply\nnonsense\n"),
+     ("a.doc", "")],
+)  # fmt: skip
+def test_edge_bad_files(name: str, content: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ShapeError, match=name):
+        read_scan(tmp_path / name)
+
+
+def test_edge_missing_file_and_unit(tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="no such file"):
+        read_scan(tmp_path / "none.ply")
+    with pytest.raises(ShapeError, match="furlong"):
+        read_scan(tmp_path / "none.ply", "furlong")
+
+
+def test_edge_empty_text(tmp_path: Path) -> None:
+    (tmp_path / "empty.xyz").write_text("# nothing\n")
+    assert len(read_scan(tmp_path / "empty.xyz").points) == 0

@@ -1,0 +1,163 @@
+"""Every term: residuals, derivatives by finite differences at a frozen match, robust costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from synthgen.registration.limit_term import LimitPrior, angle_slopes
+from synthgen.registration.prior import learned_prior
+from synthgen.registration.surface import Placed
+from synthgen.registration.terms import (
+    GaussianPrior,
+    GemanMcClure,
+    KeypointTerm,
+    MeshToScan,
+    MixturePrior,
+    Pairs,
+    ScanToMesh,
+    Term,
+    closest,
+    shape_prior,
+    velocity_prior,
+)
+from synthgen.sampling.limits import limits_of, to_angles
+from tests.registration.hands import model, rng, scan, surface, truth
+
+RHO = GemanMcClure(2e-3)
+
+
+def near_truth() -> np.ndarray:
+    return (
+        truth() + rng("near").normal(0, 0.02, surface().n) * np.r_[np.ones(58), 0.05 * np.ones(3)]
+    )
+
+
+def terms() -> dict[str, Term]:
+    s, prior = surface(), learned_prior(model())
+    p, n = scan().points[:500], scan().normals[:500]
+    return {
+        "scan to mesh": ScanToMesh(p, n, 1.0, RHO, 0.03, 0.3, tangential=0.2),
+        "scan to curved mesh": ScanToMesh(p, n, 1.0, RHO, 0.03, 0.3, curved=0.75),
+        "mesh to scan": MeshToScan(scan(), 0.1, RHO, 0.015, 0.3),
+        "mixture": MixturePrior(s.fingers, prior.means, prior.whiten, prior.constants),
+        "shape": shape_prior(s),
+        "velocity": velocity_prior(s, truth(), 0.03),
+        "protocol": GaussianPrior(s.fingers, np.zeros(45), np.full(45, 0.2)),
+        "limits": LimitPrior(s.pose, limits_of(model())),
+        "keypoints": KeypointTerm(np.arange(16), s.at(truth()).joints, 2e-3),
+    }
+
+
+def residuals(term: Term, x: np.ndarray, match: Any) -> list[np.ndarray]:
+    return [block.residual for block in term.blocks(surface().at(x), match)]
+
+
+def frozen_plane_residual(placed: Placed, term: ScanToMesh, match: Pairs) -> np.ndarray:
+    """Residual with everything of the match frozen, as the step sees it."""
+    corners = placed.vertices[match.triangle]
+    offset = np.einsum("mk,mka->ma", match.barycentric, corners) + match.shift - term.points
+    return np.asarray(np.sum(offset * match.normal, axis=1))
+
+
+@pytest.mark.parametrize("name", list(terms()))
+def test_reference_jacobian_by_finite_differences(name: str) -> None:
+    term, x, h = terms()[name], near_truth(), 1e-6
+    placed = surface().at(x)
+    match = term.match(placed)
+    blocks = term.blocks(placed, match)
+    assert blocks
+    for k in range(0, surface().n, 4):
+        step = np.zeros(surface().n)
+        step[k] = h
+        ahead, behind = residuals(term, x + step, match), residuals(term, x - step, match)
+        for block, a, b in zip(blocks, ahead, behind, strict=True):
+            scale = max(1.0, float(np.abs(block.rows[:, k]).max(initial=0)))
+            np.testing.assert_allclose(block.rows[:, k], (a - b) / (2 * h), atol=2e-6 * scale)
+
+
+@pytest.mark.parametrize("name", list(terms()))
+def test_properties_cost_is_positive_and_zero_at_perfection(name: str) -> None:
+    term = terms()[name]
+    placed = surface().at(near_truth())
+    assert term.cost(placed, term.match(placed)) >= 0
+
+
+def test_reference_plane_residual() -> None:
+    term = terms()["scan to mesh"]
+    assert isinstance(term, ScanToMesh)
+    placed = surface().at(near_truth())
+    match = term.match(placed)
+    own = frozen_plane_residual(placed, term, match)
+    block = term.blocks(placed, match)[0]
+    w = term.rho.weight(match.squared, match.kept)
+    np.testing.assert_allclose(block.residual, own[w > 1e-4 * w.max()], atol=1e-12)
+
+
+def test_reference_closest_points_against_brute_force() -> None:
+    placed = surface().at(truth())
+    points = scan().points[:20]
+    pairs = closest(placed, points, scan().normals[:20], cut_m=1.0, cosine=-2.0)
+    dense = rng("dense").dirichlet([1, 1, 1], 4000)
+    corners = placed.vertices[surface().faces]
+    for k, point in enumerate(points):
+        near = np.argsort(np.linalg.norm(corners.mean(axis=1) - point, axis=1))[:60]
+        candidates = np.einsum("nk,fka->fna", dense, corners[near])
+        brute = np.linalg.norm(candidates - point, axis=-1).min()
+        assert np.sqrt(pairs.squared[k]) <= brute + 1e-9
+        assert brute - np.sqrt(pairs.squared[k]) < 3e-4
+
+
+def test_reference_geman_mcclure_weight_is_its_slope() -> None:
+    squared, kept = np.linspace(0, 1e-4, 9), np.ones(9, bool)
+    h = 1e-10
+    slope = (RHO.cost(squared + h, kept) - RHO.cost(squared, kept)) / h
+    np.testing.assert_allclose(RHO.weight(squared, kept), slope, rtol=1e-3)
+
+
+def test_properties_rejected_points_cost_the_plateau() -> None:
+    """No step can win by losing points: the plateau is the largest cost there is."""
+    squared = np.array([1e-8, 1e-4, 1.0])
+    lost = RHO.cost(squared, np.zeros(3, bool))
+    assert np.all(lost >= RHO.cost(squared, np.ones(3, bool)))
+    assert np.all(RHO.weight(squared, np.zeros(3, bool)) == 0)
+
+
+def test_properties_points_beyond_the_wrist_pull_on_nothing() -> None:
+    placed = surface().at(truth())
+    ring = placed.vertices[surface().rim]
+    away = ring.mean(axis=0) - placed.vertices.mean(axis=0)
+    stump = ring + 0.02 * away / np.linalg.norm(away)
+    outward = stump - stump.mean(axis=0)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    pairs = closest(placed, stump, outward, cut_m=0.1, cosine=-2.0)
+    assert pairs.rim.mean() > 0.9
+    assert not pairs.kept[pairs.rim].any()
+
+
+def test_reference_mixture_takes_the_best_component() -> None:
+    term = terms()["mixture"]
+    assert isinstance(term, MixturePrior)
+    x = near_truth()
+    costs = [term.cost(surface().at(x), k) for k in range(len(term.means))]
+    assert term.match(surface().at(x)) == int(np.argmin(costs))
+
+
+def test_reference_limit_angles_by_finite_differences() -> None:
+    limits, h = limits_of(model()), 1e-6
+    pose = rng("limits").normal(0, 0.4, (16, 3))
+    slopes = angle_slopes(limits, pose)
+    for axis in range(3):
+        step = np.zeros((16, 3))
+        step[:, axis] = h
+        slope = (to_angles(limits, pose + step) - to_angles(limits, pose - step)) / (2 * h)
+        np.testing.assert_allclose(slopes[1:, :, axis], slope[1:], atol=1e-7)
+
+
+def test_edge_within_the_limits_costs_nothing() -> None:
+    x = np.zeros(surface().n)
+    term = terms()["limits"]
+    assert term.cost(surface().at(x), None) == 0
+    assert term.blocks(surface().at(x), None)[0].rows.shape == (0, surface().n)

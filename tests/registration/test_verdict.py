@@ -1,0 +1,74 @@
+"""Verdicts from statistics made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from synthgen.registration.statistics import PARTS, Statistics
+from synthgen.registration.verdict import REASONS, judge, sd_limit_m
+
+GOOD = Statistics(
+    explained=0.995,
+    far=0.01,
+    limit_m=1e-3,
+    noise_m=2e-4,
+    local_noise_m=2e-4,
+    rms_m=2e-4,
+    unexplained=np.full(6, 0.01),
+    p95_m=np.full(6, 4e-4),
+    ratio=1.0,
+    coverage=np.full(6, 0.7),
+    sd_m=np.full(100, 1e-4),
+    sd95_m=np.full(6, 1e-4),
+)
+BETA = np.zeros(10)
+
+
+def one_bad(*parts: str) -> np.ndarray:
+    return np.array([0.2 if part in parts else 0.01 for part in PARTS])
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "reason"),
+    [
+        ({}, "pass", ""),
+        ({"explained": 0.9}, "fail", "cold_start_failed"),
+        ({"noise_m": 3e-3}, "fail", "noise_above_spec"),
+        ({"far": 0.4}, "fail", "background"),
+        ({"unexplained": one_bad("ring")}, "fail", "finger_missed(ring)"),
+        ({"unexplained": one_bad("ring", "pinky")}, "fail", "finger_swap"),
+        ({"unexplained": one_bad("ring", "pinky", "palm")}, "fail", "cold_start_failed"),
+        ({"ratio": 1.3}, "fail", "finger_missed"),
+        ({"ratio": 1.3, "noise_m": 4e-4}, "pass", ""),
+        ({"sd_m": np.full(100, 2e-3), "sd95_m": np.array([0, 0, 0, 2e-3, 0, 0])}, "unobserved",
+         "hole(pinky)"),
+    ],
+)  # fmt: skip
+def test_reference_verdicts(change: dict[str, Any], verdict: str, reason: str) -> None:
+    found = judge(replace(GOOD, **change), BETA)
+    assert found.verdict == verdict
+    assert found.text.startswith(reason)
+    assert found.reason in ("", *REASONS)
+
+
+def test_reference_extreme_shape() -> None:
+    assert judge(GOOD, np.array([5.0, 0])).reason == "shape_limit"
+
+
+def test_properties_limit_grows_with_noise() -> None:
+    assert sd_limit_m(2e-4) == sd_limit_m(1e-4)
+    assert sd_limit_m(2e-3) > sd_limit_m(1e-3)
+
+
+def test_smoke_json_is_json() -> None:
+    import json
+
+    row = GOOD.to_json()
+    assert json.loads(json.dumps(row))["parts"]["palm"]["coverage"] == 0.7
+    empty = replace(GOOD, unexplained=np.full(6, np.nan), p95_m=np.full(6, np.nan))
+    assert empty.to_json()["parts"]["ring"]["p95_mm"] is None
+    assert empty.worst_unexplained == 0
