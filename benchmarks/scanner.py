@@ -83,28 +83,32 @@ def _axes(rig: Any) -> Any:
     return np.stack([aside, np.cross(ahead, aside), ahead], axis=1)
 
 
+def _matt() -> Any:
+    from synthgen.scanner import Surface
+
+    return Surface(specular=0.0, subsurface=0.0)
+
+
 def _plate(rig: Any, size: Any, centre: Any, tilt_deg: float = 0.0) -> Any:
     import trimesh
 
     from synthgen.scanner import solid_from_mesh
-    from synthgen.scanner.subject import MATT
 
     box = trimesh.creation.box(size)
     T = np.eye(4)
     turn = trimesh.transformations.rotation_matrix(np.deg2rad(tilt_deg), (0, 1, 0))
     T[:3, :3] = _axes(rig) @ turn[:3, :3]
     T[:3, 3] = _axes(rig) @ np.array(centre)
-    return solid_from_mesh(box.apply_transform(T), MATT, smooth=False)
+    return solid_from_mesh(box.apply_transform(T), _matt(), smooth=False)
 
 
 def _ball(radius_m: float, centre: Any = (0, 0, 0), surface: Any = None, **rest: Any) -> Any:
     import trimesh
 
     from synthgen.scanner import solid_from_mesh
-    from synthgen.scanner.subject import MATT
 
     ball = trimesh.creation.icosphere(subdivisions=6, radius=radius_m)
-    return solid_from_mesh(ball.apply_translation(centre), surface or MATT, **rest)
+    return solid_from_mesh(ball.apply_translation(centre), surface or _matt(), **rest)
 
 
 def planes() -> list[Row]:
@@ -236,7 +240,6 @@ def webbing() -> list[Row]:
 
     from synthgen.scanner import ScanScene, solid_from_mesh
     from synthgen.scanner.pipeline import assemble
-    from synthgen.scanner.subject import MATT
 
     rig, rows = _rig(units=["front"]), []
     for gap in (0.0, 0.001, 0.003, 0.01):
@@ -246,7 +249,7 @@ def webbing() -> list[Row]:
             T[:3, :3] = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))[:3, :3]
             T[0, 3] = side * (0.008 + gap / 2)
             tube = trimesh.creation.cylinder(0.008, 0.06, sections=96).apply_transform(T)
-            solids.append(solid_from_mesh(tube, MATT, smooth=False))
+            solids.append(solid_from_mesh(tube, _matt(), smooth=False))
         _, part = _front(solids, rig)
         found = assemble([part], ScanScene(tuple(solids)), "full", _settings(rig))
         outside = found.provenance["error_m"] > 0.0005
