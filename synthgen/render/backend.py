@@ -17,10 +17,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from synthgen.errors import BackendError
 
 Variant = Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"]
 OLDEST_LLVM = 17
+# Bytes: the widest vector of any CPU that LLVM compiles for, twice.
+_ALIGNMENT = 128
 FIX = (
     f"Dr.Jit needs LLVM >= {OLDEST_LLVM} (older ones abort the process). "
     "Install it with `pip install karellen-llvm-core` (Linux x86-64), or a system package such as "
@@ -108,6 +113,21 @@ def drjit() -> ModuleType:
     """Return the drjit module after :func:`activate`."""
     mitsuba()
     return sys.modules["drjit"]
+
+
+def aligned(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Copy values to float32 memory that is aligned as Dr.Jit's own, same shape.
+
+    Dr.Jit borrows NumPy's memory on the CPU and compiles another kernel for every mixture of
+    aligned and unaligned inputs; where NumPy puts an array is chance, and so was the number of
+    kernels.
+    """
+    count = int(np.prod(np.shape(values)))
+    spare = np.empty(count + _ALIGNMENT // 4, dtype=np.float32)
+    start = (-spare.ctypes.data // 4) % (_ALIGNMENT // 4)
+    out = spare[start : start + count].reshape(np.shape(values))
+    out[...] = values
+    return out
 
 
 def report() -> dict[str, Any]:
