@@ -31,6 +31,10 @@ FIX = (
     "Install it with `pip install karellen-llvm-core` (Linux x86-64), or a system package such as "
     "libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM shared library"
 )
+# Objects of each kind that scenes of sixteen structures hold; a rectangle brings its material.
+_RESERVED = ((320, "rectangle"), (640, "diffuse"), (64, "constant"))
+# They live as long as the process, as Dr.Jit's tables do.
+_PINNED: list[Any] = []
 _ASK = """
 import ctypes, sys
 library = ctypes.CDLL(sys.argv[1])
@@ -83,7 +87,20 @@ def activate(variant: str = "auto") -> str:
 
     mitsuba.set_variant(chosen)
     drjit.set_thread_count(1)
+    _reserve(mitsuba)
     return chosen
+
+
+def _reserve(mi: ModuleType) -> None:
+    """Widen Dr.Jit's tables of objects once, for all scenes that this process may load.
+
+    Kernels hold the tables' width, so a scene that widened them made every scene before it compile
+    again. The width is the highest number in use: the last object of each kind keeps it, the
+    others leave their numbers to the scenes' own.
+    """
+    for count, kind in _RESERVED:
+        held = [mi.load_dict({"type": kind}) for _ in range(count)]
+        _PINNED.append(held[-1])
 
 
 def resolve(variant: str = "auto") -> str:
