@@ -255,9 +255,10 @@ class LiveScene:
         for every set of textures that happens to change with the same sample.
         """
         for key, value in values.items():
-            number = isinstance(value, float)
             self._params[f"{prefix}.{key}"] = (
-                self._number(value) if number else self._mi.TensorXf(backend.aligned(value))
+                self._number(value)
+                if isinstance(value, float)
+                else self._mi.TensorXf(backend.aligned(value))
             )
         self._params.update()
         backend.drjit().eval()
