@@ -9,7 +9,7 @@ from synthgen.config.sections import Section
 FULL: dict[str, dict[str, Any]] = {
     "skin": {"detail": True, "relief_m": 0.002, "varnish": 0.06},
     "light": {"constant": 0.05, "area": 0.15, "room": 0.4, "lamp": 0.12, "sky": 0.28},
-    "background": {"plain": 0.05, "procedural": 0.12, "room": 0.55, "outdoor": 0.28},
+    "background": {"plain": 0.03, "procedural": 0.06, "room": 0.62, "outdoor": 0.29},
     "things": {"furniture": 1.0, "support": 0.45, "occluder": 0.2},
     "wear": {"sleeve": 0.4, "ring": 0.2, "bracelet": 0.1, "watch": 0.1},
     "optics": {"distortion": 0.02, "defocus": 0.25, "motion": 0.15},

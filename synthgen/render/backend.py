@@ -17,15 +17,24 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from synthgen.errors import BackendError
 
 Variant = Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"]
 OLDEST_LLVM = 17
+# Bytes: the widest vector of any CPU that LLVM compiles for, twice.
+_ALIGNMENT = 128
 FIX = (
     f"Dr.Jit needs LLVM >= {OLDEST_LLVM} (older ones abort the process). "
     "Install it with `pip install karellen-llvm-core` (Linux x86-64), or a system package such as "
     "libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM shared library"
 )
+# Objects of each kind that scenes of sixteen structures hold; a rectangle brings its material.
+_RESERVED = ((320, "rectangle"), (640, "diffuse"), (64, "constant"))
+# They live as long as the process, as Dr.Jit's tables do.
+_PINNED: list[Any] = []
 _ASK = """
 import ctypes, sys
 library = ctypes.CDLL(sys.argv[1])
@@ -78,7 +87,20 @@ def activate(variant: str = "auto") -> str:
 
     mitsuba.set_variant(chosen)
     drjit.set_thread_count(1)
+    _reserve(mitsuba)
     return chosen
+
+
+def _reserve(mi: ModuleType) -> None:
+    """Widen Dr.Jit's tables of objects once, for all scenes that this process may load.
+
+    Kernels hold the tables' width, so a scene that widened them made every scene before it compile
+    again. The width is the highest number in use: the last object of each kind keeps it, the
+    others leave their numbers to the scenes' own.
+    """
+    for count, kind in _RESERVED:
+        held = [mi.load_dict({"type": kind}) for _ in range(count)]
+        _PINNED.append(held[-1])
 
 
 def resolve(variant: str = "auto") -> str:
@@ -108,6 +130,21 @@ def drjit() -> ModuleType:
     """Return the drjit module after :func:`activate`."""
     mitsuba()
     return sys.modules["drjit"]
+
+
+def aligned(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Copy values to float32 memory that is aligned as Dr.Jit's own, same shape.
+
+    Dr.Jit borrows NumPy's memory on the CPU and compiles another kernel for every mixture of
+    aligned and unaligned inputs; where NumPy puts an array is chance, and so was the number of
+    kernels.
+    """
+    count = int(np.prod(np.shape(values)))
+    spare = np.empty(count + _ALIGNMENT // 4, dtype=np.float32)
+    start = (-spare.ctypes.data // 4) % (_ALIGNMENT // 4)
+    out = spare[start : start + count].reshape(np.shape(values))
+    out[...] = values
+    return out
 
 
 def report() -> dict[str, Any]:

@@ -85,7 +85,7 @@ def trace(live: LiveScene, origin: Array, directions: Array) -> Hits:
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
     o = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin))
-    d = mi.Vector3f(*(mi.Float(c) for c in directions.T.astype(np.float32)))
+    d = mi.Vector3f(*(mi.Float(backend.aligned(c)) for c in directions.T))
     found = live.scene.ray_intersect_preliminary(mi.Ray3f(o, d))
     dr.eval(found)  # one trace; every conversion below would repeat it otherwise
     registered = np.array(dr.reinterpret_array(mi.UInt32, found.shape))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.render import background, textures
+from synthgen.render import backend, background, textures
 from synthgen.render.solids import MOST_BANDS, repeated
 from synthgen.sampling.things import MOST_BOXES, MOST_TURNED
 from synthgen.scene.solids import BOX_TRIANGLES, BOX_VERTICES, TURNED_TRIANGLES, TURNED_VERTICES
@@ -31,7 +31,7 @@ def mesh(
     )  # fmt: skip
     params = mi.traverse(made)
     params["faces"] = np.asarray(triangles, dtype=np.uint32).ravel()
-    params["vertex_positions"] = np.zeros(3 * n, dtype=np.float32)
+    params["vertex_positions"] = backend.aligned(np.zeros(3 * n))
     params["vertex_texcoords"] = flip_v(uv)
     params.update()
     made.set_id(name)
@@ -40,7 +40,7 @@ def mesh(
 
 def flip_v(uv: NDArray[Any]) -> NDArray[np.float32]:
     """Mitsuba samples bitmaps with the first row at v = 0 for meshes filled by hand."""
-    flipped = np.array(uv, dtype=np.float32)
+    flipped = backend.aligned(uv)
     flipped[:, 1] = 1 - flipped[:, 1]
     return flipped.ravel()
 

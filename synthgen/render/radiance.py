@@ -61,7 +61,7 @@ class Film:
         self._mi: Any = backend.mitsuba()
         self._dr: Any = backend.drjit()
         mi, dr = self._mi, self._dr
-        self._centres = [mi.Float(c.astype(np.float32)) for c in _pixel_map(camera)]
+        self._centres = [mi.Float(backend.aligned(c)) for c in _pixel_map(camera)]
         T = camera.T
 
         def number(value: float) -> Any:

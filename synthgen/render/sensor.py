@@ -15,7 +15,10 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 MIDDLE_GREY = 0.2
-_KNEE = 0.8
+# Where the curve starts to bend, so that a lit palm beside shade keeps its colour.
+_KNEE = 0.6
+# Luminance that the brightest fiftieth of the picture is exposed to at most.
+_BRIGHTEST = 1.15
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 # Adaptation is not complete in cameras either.
 _BALANCED = 0.75
@@ -27,7 +30,7 @@ def exposure_of(linear: NDArray[Any]) -> float:
     """Return the automatic exposure: the picture's middle becomes middle grey.
 
     Half geometric, half arithmetic mean, weighted towards the centre; limited so that the 98th
-    percentile of luminance is not lifted beyond 1.6.
+    percentile of luminance is not lifted beyond 1.15.
     """
     luminance = np.asarray(linear, np.float64) @ _LUMA
     height, width = luminance.shape
@@ -39,7 +42,7 @@ def exposure_of(linear: NDArray[Any]) -> float:
     geometric = float(np.exp((np.log(np.maximum(luminance, floor)) * weight).sum()))
     mean = 0.5 * geometric + 0.5 * float((luminance * weight).sum())
     bright = float(np.quantile(luminance, 0.98))
-    return min(MIDDLE_GREY / max(mean, 1e-9), 1.6 / max(bright, 1e-9))
+    return min(MIDDLE_GREY / max(mean, 1e-9), _BRIGHTEST / max(bright, 1e-9))
 
 
 def balance_of(linear: Image, albedo: Image | None, sensor: Sensor) -> Array:

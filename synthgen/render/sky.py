@@ -82,7 +82,7 @@ def _evaluate(sky: Sky, away: Array, *, sun_scale: float) -> Array:
         }
     )
     hit = dr.zeros(mi.SurfaceInteraction3f, len(away))
-    hit.wi = mi.Vector3f(*(mi.Float(np.asarray(-c, np.float32)) for c in away.T))
+    hit.wi = mi.Vector3f(*(mi.Float(backend.aligned(-c)) for c in away.T))
     return np.array(emitter.eval(hit), dtype=np.float64).T
 
 

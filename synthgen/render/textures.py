@@ -27,7 +27,7 @@ def wall_texture(background: Background) -> Image:
     if background.kind == "room":  # mostly paint; else a paper of little contrast
         pattern = 0.4 * pattern + (0.35 * _pattern(rng) if rng.random() < 0.3 else 0)
     elif background.kind != "plain":
-        pattern = pattern + _pattern(rng)
+        pattern = pattern + 0.6 * _pattern(rng)
     share = np.clip(pattern, 0, 1)[..., None]
     first, second = (
         np.array(c, np.float32) for c in (background.colour_rgb, background.accent_rgb)

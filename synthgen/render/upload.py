@@ -179,9 +179,9 @@ class LiveScene:
 
     def _move(self, solid: Solid) -> None:
         name = solid.name
-        self._params[f"{name}.vertex_positions"] = solid.vertices.astype(np.float32).ravel()
+        self._params[f"{name}.vertex_positions"] = backend.aligned(solid.vertices.ravel())
         if solid.normals is not None:
-            self._params[f"{name}.vertex_normals"] = solid.normals.astype(np.float32).ravel()
+            self._params[f"{name}.vertex_normals"] = backend.aligned(solid.normals.ravel())
         if solid.uv is not None:
             self._params[f"{name}.vertex_texcoords"] = materials.flip_v(solid.uv)
 
@@ -231,7 +231,7 @@ class LiveScene:
             self._params["surround.radiance.value"] = self._colour(lights.constant_rgb)
         if lights.sky is not None and self._is_new("sky", lights.sky):
             radiance = sky.padded(sky.radiance_of(lights.sky))
-            self._params["sky.data"] = self._mi.TensorXf(radiance)
+            self._params["sky.data"] = self._mi.TensorXf(backend.aligned(radiance))
         self.lamps = []
         for k, lamp in enumerate(lights.area):
             self._put_lamp(k, lamp)
@@ -249,11 +249,19 @@ class LiveScene:
         self._params[f"lamp{k}.emitter.radiance.value"] = self._colour(lamp.radiance_rgb)
 
     def _fill(self, prefix: str, values: material.Values) -> None:
+        """Fill a material's textures and numbers by name.
+
+        At once, one material after the other: what waits is computed together, by another kernel
+        for every set of textures that happens to change with the same sample.
+        """
         for key, value in values.items():
-            number = isinstance(value, float)
             self._params[f"{prefix}.{key}"] = (
-                self._number(value) if number else self._mi.TensorXf(value)
+                self._number(value)
+                if isinstance(value, float)
+                else self._mi.TensorXf(backend.aligned(value))
             )
+        self._params.update()
+        backend.drjit().eval()
 
     def _number(self, value: Any) -> Any:
         """Pass a number as data: a literal would be compiled into the kernels."""

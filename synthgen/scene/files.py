@@ -146,6 +146,12 @@ def read_panorama(picture: Picture) -> Image:
             planes = [np.asarray(file.channels()[c].pixels, np.float32) for c in "RGB"]
     except Exception as error:
         raise FileError(f"{picture.path} cannot be decoded: {error}") from None
+    if len({plane.shape for plane in planes}) > 1:
+        shapes = ", ".join(f"{c} {plane.shape}" for c, plane in zip("RGB", planes, strict=True))
+        raise FileError(
+            f"{picture.path} keeps its channels in different sizes ({shapes}); save it without "
+            "subsampling"
+        )
     pixels: Any = np.stack(planes, axis=-1)
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() <= 0:
         raise FileError(f"{picture.path} holds negative or no finite light; repair it")

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from synthgen.errors import BackendError
@@ -63,3 +64,12 @@ def test_edge_import_order_is_an_error_not_an_abort() -> None:
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert child.returncode == 0
     assert child.stdout.startswith("BackendError drjit or mitsuba was imported before")
+
+
+def test_properties_aligned_copies_to_wide_addresses() -> None:
+    for size in (1, 7, 64, 1001):
+        values = np.arange(size, dtype=np.float64)[:, None] * [1.0, 2.0, 3.0]
+        copy = backend.aligned(values)
+        assert copy.ctypes.data % 128 == 0
+        assert copy.dtype == np.float32
+        np.testing.assert_array_equal(copy, values.astype(np.float32))

@@ -32,7 +32,7 @@ def test_properties_exposure_error_is_in_stops() -> None:
 def test_properties_highlights_bound_the_exposure() -> None:
     bright = np.full((50, 50, 3), 0.001)
     bright[:, :5] = 100.0
-    assert exposure_of(bright) * 100.0 <= 1.6 + 1e-9
+    assert exposure_of(bright) * 100.0 <= 1.15 + 1e-9
 
 
 def test_reference_noise_has_the_variance_of_photons_and_read_noise() -> None:

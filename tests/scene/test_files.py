@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -100,3 +102,14 @@ def test_edge_changed_since_the_plan(tmp_path: Path) -> None:
     path.unlink()
     with pytest.raises(FileError, match="No such file"):
         read_image(picture)
+
+
+def test_edge_subsampled_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenEXR's module reads subsampled channels, but writes none: its answer is stood in for."""
+    picture = checked(panorama(tmp_path / "a.exr"), "panorama", "CC0")
+    shapes = {"R": (16, 32), "G": (32, 64), "B": (16, 32)}
+    planes = {c: SimpleNamespace(pixels=np.ones(s, np.float32)) for c, s in shapes.items()}
+    opened = SimpleNamespace(channels=lambda: planes)
+    monkeypatch.setattr(OpenEXR, "File", lambda *_, **__: nullcontext(opened))
+    with pytest.raises(FileError, match=r"different sizes \(R \(16, 32\), G \(32, 64\)"):
+        read_panorama(picture)
