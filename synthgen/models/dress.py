@@ -80,6 +80,8 @@ def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attach
         return tuple(_read(body, extras, str(name)) for name in extras.get("attachments", ()))
     except KeyError as error:
         raise ModelError(f"no {error.args[0]!r}, which attachments needs") from None
+    except (ValueError, IndexError, TypeError) as error:
+        raise ModelError(f"attachments do not fit the body ({error})") from None
 
 
 def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
