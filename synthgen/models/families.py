@@ -182,8 +182,8 @@ def _check_finite(content: Content, key: str) -> None:
         return
     with np.errstate(all="ignore"):  # one pass without a mask: NaN and infinity survive a sum
         total = np.sum(array, dtype=np.float64)
-    bad = () if np.isfinite(total) else np.argwhere(~np.isfinite(array))
-    if len(bad):
+    if not np.isfinite(total) and not (finite := np.isfinite(array)).all():
+        bad = np.argwhere(~finite)
         raise content.fail(
             f"{key} holds NaN or infinity ({len(bad)} entries, the first at "
             f"{tuple(bad[0].tolist())}); "
