@@ -23,12 +23,21 @@ from synthgen.models.writing import convert
 
 if TYPE_CHECKING:
     from synthgen.models.as_torch_layer import as_torch
+    from synthgen.models.dress import Attachment, attachments_of, dressed
+    from synthgen.models.foot import FootNetwork, deform_feet, feet_of, touching
     from synthgen.models.jacobian import Jacobian
     from synthgen.models.vjp import Forward, Gradient, forward
 
 # Brought in when asked for: what these rest on (torch, compiled kernels) is slow to import.
 _LATE = {
     "as_torch": "as_torch_layer",
+    "Attachment": "dress",
+    "attachments_of": "dress",
+    "dressed": "dress",
+    "FootNetwork": "foot",
+    "deform_feet": "foot",
+    "feet_of": "foot",
+    "touching": "foot",
     "Jacobian": "jacobian",
     "Forward": "vjp",
     "Gradient": "vjp",
@@ -38,8 +47,10 @@ _LATE = {
 __all__ = [
     "KEYPOINTS73_NAMES",
     "Arm",
+    "Attachment",
     "BodyModel",
     "ConstrainedTree",
+    "FootNetwork",
     "Forward",
     "Gradient",
     "HandSpace",
@@ -52,7 +63,11 @@ __all__ = [
     "Symmetry",
     "VertexFit",
     "as_torch",
+    "attachments_of",
     "convert",
+    "deform_feet",
+    "dressed",
+    "feet_of",
     "fit_vertices",
     "forward",
     "keypoints73",
@@ -70,6 +85,7 @@ __all__ = [
     "recentre",
     "separate",
     "symmetry_of",
+    "touching",
 ]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 import struct
 import zipfile
 import zlib
@@ -29,6 +30,8 @@ _MAX_DIRECTORY = 2**20
 _MAX_HEADER = 4096
 _MAGIC = b"\x93NUMPY"
 _END_BYTES = 22
+# One plain number or text type; numpy would also read "3f8" and "f2,f2", which are records.
+_DTYPE = re.compile(r"[<>|=]?[biufSU]\d{1,7}")
 
 
 def read_npz(path: Path) -> dict[str, Any]:
@@ -157,7 +160,7 @@ def _header(data: bytes | memoryview) -> tuple[Any, tuple[int, ...], bool, int]:
 def _dtype(descr: Any) -> Any:
     if descr in ("|O", "O", "<O", "|O8"):
         return "O"
-    if isinstance(descr, str) and len(descr) <= 8 and descr.lstrip("<>|=")[:1] in tuple("biufSU"):
+    if isinstance(descr, str) and _DTYPE.fullmatch(descr):
         try:
             dtype = np.dtype(descr)
         except TypeError:
@@ -189,9 +192,10 @@ def _check_directory(path: Path) -> int:
 
 
 def _check_members(members: list[zipfile.ZipInfo], size: int) -> None:
-    names = [m.filename for m in members]
+    names = [_key(m) for m in members]  # "v" and "v.npy" are one key
     if len(set(names)) != len(names):
-        raise ModelError("the archive has two members of one name")
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ModelError(f"the archive has two members of one name, {twice!r:.60}")
     total = sum(m.file_size for m in members)
     allowed = min(MAX_BYTES, max(FREE_BYTES, MAX_RATIO * size))
     if total > allowed:
@@ -205,6 +209,12 @@ def _check_members(members: list[zipfile.ZipInfo], size: int) -> None:
             raise ModelError(f"{m.filename} is compressed in a way that numpy does not write")
 
 
+def printable(key: str) -> str:
+    """Return a key that a file chose, fit for a message: short, control characters escaped."""
+    shown = key if key.isprintable() else ascii(key)[1:-1]
+    return shown if len(shown) <= 60 else f"{shown[:60]}..."
+
+
 def _key(member: zipfile.ZipInfo) -> str:
     return member.filename.removesuffix(".npy")
 
@@ -213,4 +223,4 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Any:
     try:
         return npy_value(archive.read(member))
     except ModelError as error:
-        raise ModelError(f"{_key(member)}: {error}") from None
+        raise ModelError(f"{printable(_key(member))}: {error}") from None

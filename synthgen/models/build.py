@@ -102,9 +102,20 @@ def side_of(content: Content) -> Hand:
 
 
 def joint_names(content: Content, k: int) -> tuple[str, ...]:
-    """Return joint names: those in the file, else those of the published order of that count."""
+    """Return joint names: those in the file, else those of the published order of that count.
+
+    Raises
+    ------
+    ModelError
+        If the file's own are not one name per joint, all different.
+    """
     own = content.arrays.get("joint_names")
-    if own is not None and own.dtype.kind in "US" and own.shape == (k,):
+    if own is not None:
+        if own.dtype.kind not in "US" or own.shape != (k,) or len(np.unique(own)) != k:
+            raise content.fail(
+                f"joint_names is {own.shape} of {own.dtype}, {len(np.unique(own))} of them "
+                f"different; expected {k} names, one per joint, all different"
+            )
         return tuple(str(name) for name in own.astype(str))
     published: tuple[tuple[str, ...], ...] = {
         "smplh": (tables.SMPLH52_NAMES,),

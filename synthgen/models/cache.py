@@ -23,10 +23,13 @@ from numpy.typing import NDArray
 from synthgen.errors import ModelError
 from synthgen.models.archives import npy_value
 from synthgen.models.content import Content
+from synthgen.models.pickles import MAX_BYTES
 
 # Smaller files are read again faster than they are looked up.
 MIN_BYTES = 8 * 2**20
-_VERSION = 1
+_VERSION = 2
+# An index names a few dozen arrays.
+_MAX_INDEX = 2**20
 # A file changed less than this before it was hashed may change again within one time stamp.
 _SETTLED_NS = 2 * 10**9
 
@@ -46,10 +49,12 @@ def sha256_of(path: Path) -> str:
     Raises
     ------
     ModelError
-        If the file cannot be read.
+        If the file cannot be read, or is larger than any model: hashing it would take minutes.
     """
     try:
         stat = path.stat()
+        if stat.st_size > MAX_BYTES:
+            raise ModelError(f"{path}: {stat.st_size} bytes; a model file has at most {MAX_BYTES}")
         stamp = [str(path), stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
         note = cache_folder() / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
         known = _json(note)
@@ -78,7 +83,7 @@ def cached(key: str, path: Path) -> Content | None:
     """
     folder = cache_folder() / key
     index = _json(folder / "index.json")
-    if index.get("version") != _VERSION:
+    if index.get("version") != _VERSION or index.get("check") != _check(index):
         return None
     try:
         arrays = {k: _checked(folder, k, total) for k, total in index["arrays"].items()}
@@ -110,7 +115,7 @@ def keep(key: str, content: Content) -> None:
                 "meta": meta,
                 "arrays": {k: _save(made, k, v) for k, v in content.arrays.items()},
             }
-            _write(made / "index.json", json.dumps(index).encode())
+            _write(made / "index.json", json.dumps({**index, "check": _check(index)}).encode())
             shutil.rmtree(root / key, ignore_errors=True)
             made.rename(root / key)
         finally:
@@ -125,6 +130,8 @@ def _save(folder: Path, key: str, array: NDArray[Any]) -> int:
 
 def _checked(folder: Path, key: str, total: int) -> NDArray[Any]:
     path = _file(folder, key)
+    if not path.is_file() or path.stat().st_size > 2 * MAX_BYTES:
+        raise ModelError(f"{key} is none of our files")
     data = np.empty(path.stat().st_size, dtype=np.uint8)  # aligned and writable, read in place
     with path.open("rb") as stream:
         size = stream.readinto(data.data)
@@ -150,8 +157,16 @@ def _sum(data: NDArray[np.uint8]) -> int:
     return (words + rest + (len(data) << 32)) % 2**64
 
 
+def _check(index: dict[str, Any]) -> str:
+    """Return the SHA-256 of an index, its own left out."""
+    rest = {k: v for k, v in index.items() if k != "check"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
 def _json(path: Path) -> dict[str, Any]:
     try:
+        if not path.is_file() or path.stat().st_size > _MAX_INDEX:  # a pipe would never end
+            return {}
         content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
         return {}

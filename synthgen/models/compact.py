@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from synthgen.errors import ModelError
+from synthgen.models.pickles import MAX_BYTES
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Any]
@@ -51,9 +52,23 @@ def expand(arrays: Arrays) -> Arrays:
     if form not in decoders:
         raise ModelError(f"shipped_form is {form!r}; known are {sorted(decoders)}")
     try:
+        _check_size(arrays)
         return decoders[form](arrays)
     except KeyError as error:
         raise ModelError(f"no {error.args[0]!r} in a model of shipped form {form!r}") from None
+
+
+def _check_size(arrays: Arrays) -> None:
+    """Refuse a compact form whose dense one would fill memory: it need not be large itself."""
+    v, k = len(arrays["v_template"]), arrays["kintree_table"].shape[1]
+    features = k * arrays["posedirs_blocks"].shape[2]
+    components = arrays["exprdirs_q"].shape[-1] if "exprdirs_q" in arrays else 0
+    wanted = 4 * 3 * v * (features + components + 3 * k)  # float32, regressor and weights too
+    if wanted > MAX_BYTES:
+        raise ModelError(
+            f"{v} vertices and {k} joints would take {wanted} bytes; a model has at most "
+            f"{MAX_BYTES}"
+        )
 
 
 def expand_smplh(arrays: Arrays) -> Arrays:
@@ -100,10 +115,18 @@ def activations(arrays: Arrays) -> NDArray[np.float32]:
 
 def dequantised(arrays: Arrays, name: str) -> NDArray[np.float32]:
     """Return ``name`` (m, 3, n) from its integers and scales."""
-    return np.asarray(
-        arrays[f"{name}_q"] * np.asarray(arrays[f"{name}_scale"], dtype=np.float64),
-        dtype=np.float32,
-    )
+    return scaled(arrays[f"{name}_q"], arrays[f"{name}_scale"]).astype(np.float32)
+
+
+def scaled(integers: NDArray[Any], scale: NDArray[Any]) -> Array:
+    """Return integers times a scale that broadcasts to their shape, never beyond it.
+
+    Raises
+    ------
+    ValueError
+        If the scale does not fit: a file could ask for gigabytes.
+    """
+    return integers * np.broadcast_to(np.asarray(scale, np.float64), integers.shape)
 
 
 def skinning_weights(arrays: Arrays, prefix: str = "") -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
-from synthgen.models.archives import npy_value, read_bytes_of, read_npz
+from synthgen.models.archives import npy_value, printable, read_bytes_of, read_npz
 from synthgen.models.model import Family
 from synthgen.models.pickles import unpickled_dict
 
@@ -58,6 +58,12 @@ class Content:
         """Return an error that names the file."""
         return ModelError(f"{self.path}: {words}")
 
+    def keys_text(self) -> str:
+        """Return the file's keys for a message: a few, short, and without control characters."""
+        keys = sorted(self.arrays)
+        more = f" and {len(keys) - 20} more" if len(keys) > 20 else ""
+        return ", ".join(map(printable, keys[:20])) + more if keys else "none"
+
     def numbers(self, key: str) -> Array:
         """Return an array as float64.
 
@@ -67,7 +73,7 @@ class Content:
             If the key is missing or holds no numbers.
         """
         if key not in self.arrays:
-            raise self.fail(f"no {key}; it has {sorted(self.arrays)}")
+            raise self.fail(f"no {key}; it has {self.keys_text()}")
         array = self.arrays[key]
         if array.dtype.kind not in "fiub":
             raise self.fail(f"{key} holds {array.dtype}; expected numbers")

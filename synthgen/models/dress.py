@@ -74,12 +74,14 @@ def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attach
     Raises
     ------
     ModelError
-        If an attachment that is named has no arrays.
+        If an attachment that is named has no arrays, or they do not fit the body.
     """
     try:
         return tuple(_read(body, extras, str(name)) for name in extras.get("attachments", ()))
     except KeyError as error:
         raise ModelError(f"no {error.args[0]!r}, which attachments needs") from None
+    except (ValueError, IndexError, TypeError) as error:
+        raise ModelError(f"attachments do not fit the body ({error})") from None
 
 
 def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
@@ -96,7 +98,7 @@ def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
         own = extras.get(f"{name}_exprdirs")
         exprdirs = None if own is None else np.asarray(own, dtype=np.float64)
         weights = _own_weights(extras, name, body.weights.shape[1])
-    return Attachment(
+    made = Attachment(
         name=name,
         template=np.asarray(extras[f"{name}_template"], dtype=np.float64),
         shapedirs=shapedirs,
@@ -106,12 +108,29 @@ def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
         faces=np.asarray(extras[f"{name}_f"], dtype=np.int64),
         colour=np.asarray(extras[f"{name}_colour"], dtype=np.uint8),
     )
+    _check(made)
+    return made
+
+
+def _check(made: Attachment) -> None:
+    """Refuse what does not belong together, before it is posed."""
+    a, faces = len(made.template), made.faces
+    shapes = [made.template.shape[1:], made.shapedirs.shape[:2], made.weights.shape[:1]]
+    if shapes != [(3,), (a, 3), (a,)] or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(f"{made.name} has arrays of different lengths")
+    if faces.size and not 0 <= faces.min() <= faces.max() < a:
+        raise ValueError(f"{made.name}_f refers to vertices beyond its {a}")
+    for part in (made.template, made.shapedirs, made.weights):
+        if not np.isfinite(part).all():
+            raise ValueError(f"{made.name} holds NaN or infinity, or weights that sum to 0")
 
 
 def _binding(extras: Mapping[str, Any], name: str) -> tuple[sparse.csr_matrix, NDArray[np.int64]]:
     """Matrix (A, n) of skin vertices' shares, rows summing to 1, and those n vertices."""
     ids = np.asarray(extras[f"{name}_bind_ids"], dtype=np.int64)
     share = np.asarray(extras[f"{name}_bind_weights"], dtype=np.float64)
+    if ids.min(initial=0) < 0 or not (share.sum(axis=1) > 0).all():
+        raise ValueError(f"{name}_bind_* hold negative ids, or weights that sum to 0")
     share = share / share.sum(axis=1, keepdims=True)
     used, columns = np.unique(ids, return_inverse=True)
     rows = np.repeat(np.arange(len(ids)), ids.shape[1])

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from synthgen.models.packed import Packed
 
 Array = NDArray[np.float64]
-# Samples in one matrix product. A basis beyond the caches is read once a chunk, so that chunks
-# are large; otherwise they are small, because fresh memory costs more than arithmetic.
-_CHUNK, _SMALL_CHUNK, _CACHED_BYTES = 256, 64, 4 * 2**20
+# Samples and vertices of one matrix product: the basis is read once per so many samples, and what
+# a product writes is skinned while it is in the caches.
+_SAMPLES, _VERTICES = 256, 196
 # From this many samples on, vectorising over samples beats going through them one by one.
 _TILED_FROM = 8
 
@@ -98,18 +98,33 @@ def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDA
     out = np.empty((n, 3 * v), packed.basis.dtype)
     if n < _TILED_FROM:
         points = rows @ packed.basis[: rows.shape[1]]
-        skin_part(kernels.skin_samples, packed, points, features, skeleton.skin, moved, out)
+        skin_points(packed, points, features, skeleton.skin, moved, out)
         return out.reshape(n, v, 3)
-    size = min(n, _SMALL_CHUNK if packed.basis.nbytes < _CACHED_BYTES else _CHUNK)
-    scratch = np.empty(3 * v * (size + kernels.TILE), packed.basis.dtype)
-    for k in range(0, n, size):
-        part = slice(k, min(k + size, n))
-        points = _tiled_points(packed, rows[part], scratch)
-        skin_part(
-            kernels.skin_tiles, packed, points, features[part], skeleton.skin[part], moved[part],
-            out[part],
-        )  # fmt: skip
+    for k in range(0, n, _SAMPLES):
+        part = slice(k, min(k + _SAMPLES, n))
+        _pose_many(packed, rows[part], features[part], skeleton.skin[part], moved[part], out[part])
     return out.reshape(n, v, 3)
+
+
+def _pose_many(
+    packed: Packed, rows: NDArray[Any], features: NDArray[Any], skin: NDArray[Any],
+    moved: NDArray[Any], out: NDArray[Any],
+) -> None:  # fmt: skip
+    """Pose samples together, some vertices at a time -> out (B, 3 V)."""
+    v, runs = len(packed.weights), packed.runs
+    basis = packed.basis[: rows.shape[1]].T
+    used = features if len(runs.feature) else features[:, :0]
+    columns = np.zeros((rows.shape[1], len(rows) + -len(rows) % kernels.TILE), rows.dtype)
+    columns[:, : len(rows)] = rows.T
+    maps, driven = kernels.tiled(skin, columns.shape[1]), kernels.tiled(used, columns.shape[1])
+    scratch = np.empty((3 * min(v, _VERTICES), columns.shape[1]), rows.dtype)
+    for v0 in range(0, v, _VERTICES):
+        v1 = min(v0 + _VERTICES, v)
+        points = np.matmul(basis[3 * v0 : 3 * v1], columns, out=scratch[: 3 * (v1 - v0)])
+        kernels.skin_tiles(
+            v0, points, driven, runs.start, runs.feature, runs.offset, runs.values, maps,
+            packed.joint_ids, packed.weights, packed.excess, moved, out,
+        )  # fmt: skip
 
 
 def basis_coefficients(
@@ -130,24 +145,16 @@ def basis_coefficients(
     return rows, features, moved
 
 
-def skin_part(
-    kernel: Any, packed: Packed, points: NDArray[Any], features: NDArray[Any],
-    skin: NDArray[Any], moved: NDArray[Any], out: NDArray[Any],
+def skin_points(
+    packed: Packed, points: NDArray[Any], features: NDArray[Any], skin: NDArray[Any],
+    moved: NDArray[Any], out: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Run a skinning kernel on rest points by the dense bases -> out (B, 3 V)."""
+    """Skin rest points (B, 3 V) by the dense bases, sample by sample -> out (B, 3 V)."""
     runs = packed.runs
-    kernel(
+    kernels.skin_samples(
         points, features, runs.start, runs.feature, runs.offset, runs.values, skin,
         packed.joint_ids, packed.weights, packed.excess, moved, out,
     )  # fmt: skip
-
-
-def _tiled_points(packed: Packed, rows: NDArray[Any], scratch: NDArray[Any]) -> NDArray[Any]:
-    """Rest points (3 V, C) by the dense bases, C filled up to whole tiles."""
-    basis = packed.basis[: rows.shape[1]]
-    filled = np.pad(rows, ((0, -len(rows) % kernels.TILE), (0, 0)))
-    points = scratch[: basis.shape[1] * len(filled)].reshape(basis.shape[1], len(filled))
-    return np.matmul(basis.T, filled.T, out=points)
 
 
 def _coefficients(model: BodyModel, given: Arguments, joint_basis: Array) -> tuple[Array, Array]:

@@ -24,7 +24,10 @@ NEEDED: Final = (
 )  # fmt: skip
 # Skinning weights may miss 1 by this much; more is a damaged or foreign file.
 WEIGHT_TOLERANCE = 1e-3
+# Metres, or metres per unit of a coefficient: beyond it lies no unit of length anyone uses.
+_LARGEST = 1e6
 _HAND_KEYS = ("hands_mean", "hands_components")
+_LENGTHS = ("v_template", "shapedirs", "posedirs", "exprdirs", "J_regressor")
 _KNOWN_OTHERS = {5: "FLAME", 24: "SMPL", 55: "SMPL-X"}
 _HAVE = "MANO (16 joints), SMPL+H (52), SUPR (quaternion features) and STAR (24) are read"
 
@@ -50,7 +53,7 @@ def checked(content: Content) -> Content:
     if missing:
         raise content.fail(
             f"no {', '.join(missing)}; a model file has {', '.join(NEEDED)}, this one "
-            f"{', '.join(sorted(content.arrays)[:20])}"
+            f"{content.keys_text()}"
         )
     _check_ranks(content)
     family = family_of(content)
@@ -109,12 +112,17 @@ def family_of(content: Content) -> Family:
 
 def _check_ranks(content: Content) -> None:
     ranks = {"v_template": 2, "shapedirs": 3, "weights": 2, "J_regressor": 2, "f": 2}
+    if "exprdirs" in content.arrays:
+        ranks["exprdirs"] = 3
     for key, rank in ranks.items():
         array = content.arrays[key]
         if array.dtype.kind not in "fiu":
             raise content.fail(f"{key} holds {array.dtype}; expected numbers")
         if array.ndim != rank or 0 in array.shape:
             raise content.fail(f"{key} is {array.shape}; expected {rank} dimensions, none 0")
+    if content.arrays["posedirs"].size == 0:
+        found = content.arrays["posedirs"].shape
+        raise content.fail(f"posedirs is {found}; a model has at least two joints and correctives")
 
 
 def _check_shapes(content: Content, family: Family) -> None:
@@ -137,6 +145,9 @@ def _check_shapes(content: Content, family: Family) -> None:
     }
     if "exprdirs" in content.arrays:
         expected["exprdirs"] = [(v, 3, content.arrays["exprdirs"].shape[-1])]
+    for key, last in (("joint_axes", 3), ("joint_range", 2)):
+        if key in content.arrays:
+            expected[key] = [(k, 3, last)]
     for key, shapes in expected.items():
         found = content.arrays[key].shape
         if found not in shapes:
@@ -171,17 +182,23 @@ def _check_finite(content: Content, key: str) -> None:
         return
     with np.errstate(all="ignore"):  # one pass without a mask: NaN and infinity survive a sum
         total = np.sum(array, dtype=np.float64)
-    if not np.isfinite(total):
-        bad = np.argwhere(~np.isfinite(array))
-        where = tuple(int(n) for n in bad[0]) if len(bad) else ()
+    if not np.isfinite(total) and not (finite := np.isfinite(array)).all():
+        bad = np.argwhere(~finite)
         raise content.fail(
-            f"{key} holds NaN or infinity ({len(bad)} entries, the first at {where}); "
+            f"{key} holds NaN or infinity ({len(bad)} entries, the first at "
+            f"{tuple(bad[0].tolist())}); "
             "expected finite numbers"
+        )
+    if key in _LENGTHS and (largest := max(float(array.max()), -float(array.min()))) > _LARGEST:
+        raise content.fail(
+            f"{key} holds {largest:.3g}; expected metres, and nothing beyond {_LARGEST:.0g}"
         )
 
 
 def _check_faces(content: Content) -> None:
     v, faces = len(content.arrays["v_template"]), content.arrays["f"]
+    if faces.dtype.kind == "f" and (faces % 1).any():
+        raise content.fail("f holds broken numbers; expected the vertex ids of each face")
     low, high = int(faces.min()), int(faces.max())
     if low < 0 or high >= v:
         raise content.fail(f"f: faces refer to vertex {high if high >= v else low} of {v}")

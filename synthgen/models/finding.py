@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from synthgen.errors import ModelError, nearest
@@ -34,15 +35,18 @@ def find(name: str | Path) -> Path:
     ModelError
         If there is none.
     """
+    if not isinstance(name, str | os.PathLike):
+        raise ModelError(f"a model is named by text or a path, not by {name!r:.40}")
     path = Path(name)
-    if path.suffix in SUFFIXES and path.is_file():
-        return path.resolve()
+    with suppress(OSError):  # a name that no file can have is not found, like any other
+        if path.suffix in SUFFIXES and path.is_file():
+            return path.resolve()
     models = list_models()
     if str(name) in models:
         return models[str(name)].resolve()
     raise ModelError(
-        f"no model {str(name)!r}{nearest(str(name), models)}; known are {sorted(models)}. Give the "
-        f"path of a {', '.join(SUFFIXES)} file, or put its folder into SYNTHGEN_MODELS"
+        f"no model {str(name)!r:.200}{nearest(str(name), models)}; known are {sorted(models)}. "
+        f"Give the path of a {', '.join(SUFFIXES)} file, or put its folder into SYNTHGEN_MODELS"
     )
 
 

@@ -167,9 +167,15 @@ def feet_of(model: BodyModel) -> tuple[FootNetwork, FootNetwork]:
     Raises
     ------
     ModelError
-        If it has none.
+        If it has none, or they do not fit the body.
     """
-    return read_feet(shipped_extras(model.name))
+    feet = read_feet(shipped_extras(model.name))
+    for foot in feet:
+        limits = (foot.joint_ids, len(model.parents)), (foot.vertex_ids, len(model.v_template))
+        for ids, n in (*limits, (foot.point_ids, len(model.v_template))):
+            if not 0 <= ids.min(initial=0) <= ids.max(initial=0) < n:
+                raise ModelError(f"the {foot.side} foot's network names {ids.max()} of {n}")
+    return feet
 
 
 def read_feet(arrays: Mapping[str, Any]) -> tuple[FootNetwork, FootNetwork]:
@@ -181,16 +187,27 @@ def read_feet(arrays: Mapping[str, Any]) -> tuple[FootNetwork, FootNetwork]:
     Raises
     ------
     ModelError
-        If the model has none.
+        If the model has none, or a part of them is missing or does not fit.
     """
     if "foot_matrix_0" not in arrays:
         raise ModelError("this model has no foot networks (foot_matrix_0); cc0-supr has")
+    try:
+        return _both(arrays)
+    except KeyError as error:
+        raise ModelError(f"the foot networks lack {error.args[0]!r}") from None
+    except (ValueError, IndexError, TypeError) as error:
+        raise ModelError(f"the foot networks do not fit together ({error})") from None
+
+
+def _both(arrays: Mapping[str, Any]) -> tuple[FootNetwork, FootNetwork]:
     matrices = [np.asarray(arrays[f"foot_matrix_{k}"], np.float64) for k in range(len(SIZES) - 1)]
     biases = [np.asarray(arrays[f"foot_bias_{k}"], np.float64) for k in range(len(SIZES) - 1)]
     found = [tuple(m.shape) for m in matrices]
     wanted = [(b, a) for a, b in itertools.pairwise(SIZES)]
     if found != wanted:
         raise ModelError(f"foot_matrix_* are {found}; expected {wanted}")
+    if [b.shape for b in biases] != [(n,) for n in SIZES[1:]]:
+        raise ModelError(f"foot_bias_* are {[b.shape for b in biases]}; expected {SIZES[1:]}")
     sign_in = np.ones(SIZES[0])
     sign_in[:52] = np.tile([1, -1, -1, 1], 13)
     sign_out = np.tile([-1.0, 1.0, 1.0], N_POINTS)

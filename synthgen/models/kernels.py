@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 # Samples that are skinned together: one AVX-512 or two AVX2 registers of float32.
 TILE = 16
@@ -62,11 +63,9 @@ def turn(theta: Any, q: int, rotations: Any, features: Any) -> None:
             if angle < _SMALL:
                 s = 1 - squared / 6
                 h = 0.5 - squared / 48
-                w = -squared / 8
             else:
                 s = math.sin(angle) / angle
                 h = math.sin(0.5 * angle) / angle
-                w = -2 * math.sin(0.25 * angle) ** 2
             c = 2 * h * h
             r = rotations[b, k]
             # identity is added last: differences from it keep all their digits
@@ -80,6 +79,9 @@ def turn(theta: Any, q: int, rotations: Any, features: Any) -> None:
                 f[3], f[4], f[5] = r[1, 0], d11, r[1, 2]
                 f[6], f[7], f[8] = r[2, 0], r[2, 1], d22
             else:
+                w = (
+                    -2 * math.sin(0.25 * angle) ** 2
+                )  # cos - 1 would lose the digits of small angles
                 f[0], f[1], f[2], f[3] = h * x, h * y, h * z, w
 
 
@@ -183,35 +185,42 @@ def skin_samples(
             o[3 * v + 2] = z + (e * z + m20 * x + m21 * y + m22 * z + m23) + tz
 
 
+@njit(cache=True, error_model="numpy")
+def _tiled(values: Any, out: Any) -> None:
+    for b in range(values.shape[0]):
+        t, s = b // TILE, b % TILE
+        for i in range(values.shape[1]):
+            out[t, i * TILE + s] = values[b, i]
+
+
+def tiled(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """Lay (B, ...) values out for :func:`skin_tiles`: (n / TILE, m TILE), samples side by side."""
+    flat = values.reshape(len(values), -1)
+    out = np.zeros((n // TILE, flat.shape[1] * TILE), values.dtype)
+    _tiled(flat, out)
+    return out
+
+
 @njit(cache=True, error_model="numpy", fastmath=True)
 def skin_tiles(
-    points: Any, features: Any, start: Any, first: Any, offset: Any, values: Any,
-    skin: Any, ids: Any, weights: Any, excess: Any, moved: Any, out: Any,
+    v_first: int, points: Any, F: Any, start: Any, first: Any, offset: Any, values: Any,
+    A: Any, ids: Any, weights: Any, excess: Any, moved: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Many samples: as :func:`skin_samples`, points (3 V, C), C >= B a multiple of TILE.
+    """Many samples: as :func:`skin_samples`, for the vertices from ``v_first`` on.
 
-    Inner loops run over TILE samples and over four weights at once, so that they vectorise;
-    a vertex's weights come in fours, filled with zeros.
+    points (3 n, C), C >= B a multiple of TILE; F (C / TILE, K q TILE) and A (C / TILE, K 12 TILE)
+    by :func:`tiled`. Inner loops run over TILE samples and over four weights at once, so that they
+    vectorise; a vertex's weights come in fours, filled with zeros.
     """
-    n, n_joints, n_features = out.shape[0], skin.shape[1], features.shape[1]
-    n_tiles, n_vertices = points.shape[1] // TILE, ids.shape[0]
-    A = np.zeros((n_tiles, n_joints, 12 * TILE), skin.dtype)
-    F = np.zeros((n_tiles, n_features * TILE), skin.dtype)
-    for b in range(n):
-        t, s = b // TILE, b % TILE
-        for k in range(n_joints):
-            for i in range(12):
-                A[t, k, i * TILE + s] = skin[b, k, i]
-        for i in range(n_features):
-            F[t, i * TILE + s] = features[b, i]
-    p, block = np.empty(3 * TILE, skin.dtype), np.empty((_BLOCK, 3 * TILE), skin.dtype)
-    for v0 in range(0, n_vertices, _BLOCK):
-        v1 = min(v0 + _BLOCK, n_vertices)
+    n, n_tiles, v_end = out.shape[0], points.shape[1] // TILE, v_first + points.shape[0] // 3
+    p, block = np.empty(3 * TILE, out.dtype), np.empty((_BLOCK, 3 * TILE), out.dtype)
+    for v0 in range(v_first, v_end, _BLOCK):
+        v1 = min(v0 + _BLOCK, v_end)
         for t in range(n_tiles):
             b0 = t * TILE
             for v in range(v0, v1):
                 for a in range(3):
-                    row = points[3 * v + a]
+                    row = points[3 * (v - v_first) + a]
                     for s in range(TILE):
                         p[a * TILE + s] = row[b0 + s]
                 for r in range(start[v], start[v + 1]):
@@ -233,7 +242,8 @@ def skin_tiles(
 @njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def _add_four(A: Any, ids: Any, weights: Any, p: Any, q: Any) -> None:
     """Add the motions of points p (3 TILE) by four joints to q (3 TILE)."""
-    a, b, c, d = A[ids[0]], A[ids[1]], A[ids[2]], A[ids[3]]
+    a, b = A[12 * TILE * ids[0] :], A[12 * TILE * ids[1] :]
+    c, d = A[12 * TILE * ids[2] :], A[12 * TILE * ids[3] :]
     wa, wb, wc, wd = weights[0], weights[1], weights[2], weights[3]
     for s in range(TILE):
         x, y, z = p[s], p[TILE + s], p[2 * TILE + s]

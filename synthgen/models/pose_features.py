@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.errors import ModelError
 from synthgen.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from synthgen.models.constrained import ConstrainedTree
 
@@ -42,6 +43,11 @@ def rotations_and_features(model: BodyModel, pose: Array) -> tuple[Array, Array]
     (row-major R - I) for the SMPL family and 4 for STAR and SUPR.
     """
     if model.axis_meta is not None and pose.ndim == 2:
+        if model.constrained not in ("official", "consistent"):
+            raise ModelError(
+                f"constrained={model.constrained!r}; allowed are 'official' (as published) and "
+                "'consistent' (hinges turn and correct the same way)"
+            )
         return _constrained(model.axis_meta, pose, official=model.constrained == "official")
     rotations = pose if pose.ndim == 4 else matrix_from_axis_angle(pose)
     if model.family in ("mano", "smplh"):

@@ -54,7 +54,7 @@ def decoded(content: Content) -> Content:
         if _is_quantised(key, integers):
             name = key.removesuffix("_q")
             try:
-                result[name] = integers * np.asarray(arrays[f"{name}_scale"], dtype=np.float64)
+                result[name] = compact.scaled(integers, arrays[f"{name}_scale"])
             except (KeyError, ValueError):
                 raise content.fail(f"{name}_scale is missing or does not fit {key}") from None
             result.pop(f"{name}_scale", None)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
-from synthgen.models import kernels, vjp_kernels
+from synthgen.models import vjp_kernels
 from synthgen.models.arguments import Arguments, checked
-from synthgen.models.evaluation import Skeleton, basis_coefficients, pose_skeleton, skin_part
+from synthgen.models.evaluation import Skeleton, basis_coefficients, pose_skeleton, skin_points
 from synthgen.models.pose_tangents import of_vectors, tangents
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def forward(
     rows, features, moved = basis_coefficients(packed, skeleton, given.translation)
     points = rows @ packed.basis[: rows.shape[1]]
     out = np.empty_like(points)
-    skin_part(kernels.skin_samples, packed, points, features, skeleton.skin, moved, out)
+    skin_points(packed, points, features, skeleton.skin, moved, out)
     vertices = out.reshape(len(out), len(packed.weights), 3)
     joints = np.ascontiguousarray(skeleton.transforms[..., :3, 3])
     return Forward(model, packed, given, skeleton, points, vertices, joints)

@@ -20,8 +20,9 @@ TOP = [
     "sampling", "scanner", "scene", "verify",
 ]  # fmt: skip
 MODELS = {
-    "BodyModel", "Forward", "Gradient", "HandSpace", "Jacobian", "ManoModel", "Posed", "as_torch",
-    "forward", "list_models", "load", "pose_from_pca", "recentre",
+    "Attachment", "BodyModel", "FootNetwork", "Forward", "Gradient", "HandSpace", "Jacobian",
+    "ManoModel", "Posed", "as_torch", "attachments_of", "deform_feet", "dressed", "feet_of",
+    "forward", "list_models", "load", "pose_from_pca", "recentre", "touching",
 }  # fmt: skip
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [

@@ -45,6 +45,8 @@ HEADERS = {
     "many dimensions": header(described("(" + "1," * 40 + ")")) + b"\0" * 8,
     "record": header(described("(1,)", "[('a', '<f8')]")) + b"\0" * 8,
     "nested record": header(described("(1,)", "[('a', '<f8', (10**9,))]")) + b"\0" * 8,
+    "counted": header(described("(1,)", "'3f8'")) + b"\0" * 24,
+    "two in one": header(described("(1,)", "'f2,f2'")) + b"\0" * 4,
     "void": header(described("(1,)", "'|V8'")) + b"\0" * 8,
     "date": header(described("(1,)", "'<M8[s]'")) + b"\0" * 8,
     "huge item": header(described("(1,)", "'S999999999'")) + b"\0" * 8,
@@ -159,6 +161,7 @@ def test_edge_duplicate_and_odd_members(tmp_path: Path) -> None:
             archive.writestr("v.npy", one)
             archive.writestr("v.npy", one)
     refuse(tmp_path / "twice.npz", "two members")
+    refuse(zipped(tmp_path / "same.npz", {"v.npy": one, "v": one}), "two members of one name, 'v'")
     refuse(zipped(tmp_path / "lzma.npz", {"v.npy": one}, zipfile.ZIP_LZMA), "compressed")
     encrypted = bytearray(zipped(tmp_path / "locked.npz", {"v.npy": one}).read_bytes())
     for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,11 @@ import pytest
 from synthgen.models import BodyModel, cache, files, load
 
 OLD_NS = 10**18
+EDITS: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "version": lambda index: index | {"version": 0},
+    "lost array": lambda index: index | {"arrays": {}},
+    "other family": lambda index: index | {"family": "mano"},
+}
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +84,13 @@ def test_properties_nothing_in_it_is_pickled(tmp_path: Path, own_cache: Path) ->
     assert not list(own_cache.glob("models/.making-*"))
 
 
-@pytest.mark.parametrize("damage", ["flip", "cut", "gone", "index", "empty index", "version"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "flip", "cut", "gone", "index", "empty index", "version", "lost array", "other family",
+        "endless", "gigantic", "gigantic index", "pipe",
+    ],
+)  # fmt: skip
 def test_edge_damage_is_made_good(
     damage: str, tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,9 +106,18 @@ def test_edge_damage_is_made_good(
         target.write_bytes(data[:-8])
     elif damage == "gone":
         target.unlink()
-    elif damage == "version":
+    elif damage == "endless":
+        target.unlink()
+        target.symlink_to("/dev/zero")
+    elif damage == "pipe":
+        target.unlink()
+        os.mkfifo(target)
+    elif damage.startswith("gigantic"):
+        with (entry / "index.json" if "index" in damage else target).open("r+b") as stream:
+            stream.truncate(10**11)
+    elif damage in EDITS:
         index = json.loads((entry / "index.json").read_text())
-        (entry / "index.json").write_text(json.dumps(index | {"version": 0}))
+        (entry / "index.json").write_text(json.dumps(EDITS[damage](index)))
     else:
         (entry / "index.json").write_text("[]" if damage == "index" else "")
     seen = reads(monkeypatch)

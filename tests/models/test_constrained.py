@@ -129,3 +129,9 @@ def test_edge_missing_key() -> None:
     del content["axis"]
     with pytest.raises(ModelError, match="no axis;"):
         ConstrainedTree.from_meta(content, 4)
+
+
+def test_edge_unknown_mode() -> None:
+    made = small("physical")
+    with pytest.raises(ModelError, match=r"'official'.*'consistent'"):
+        rotations_and_features(made, np.zeros((1, 9)))

@@ -137,3 +137,30 @@ def test_edge_without_attachments(body: BodyModel) -> None:
     with pytest.raises(ModelError, match="hat"):
         read_attachments(body, {"attachments": np.array(["hat"])})
     assert attachments_of(load("cc0-hand")) == ()
+
+
+MESH = {
+    "attachments": np.array(["hat"]), "hat_template": np.zeros((3, 3)),
+    "hat_shapedirs": np.zeros((3, 3, 2)), "hat_f": np.array([[0, 1, 2]]),
+    "hat_weights_joint": np.zeros((3, 1)), "hat_weights_value": np.ones((3, 1)),
+    "hat_colour": np.zeros((1, 3)),
+}  # fmt: skip
+
+
+def test_smoke_a_mesh_of_its_own(body: BodyModel) -> None:
+    assert [made.name for made in read_attachments(body, MESH)] == ["hat"]
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"hat_f": np.array([[0, 1, 3]])}, "beyond its 3"),
+    ({"hat_template": np.zeros((4, 3))}, "different lengths"),
+    ({"hat_template": np.full((3, 3), np.nan)}, "NaN"),
+    ({"hat_weights_joint": np.full((3, 1), 999)}, "do not fit"),
+    ({"hat_bind_ids": np.full((3, 3), -1), "hat_bind_weights": np.ones((3, 3))}, "negative"),
+    ({"hat_bind_ids": np.zeros((3, 3)), "hat_bind_weights": np.zeros((3, 3))}, "sum to 0"),
+    ({"hat_bind_ids": np.full((3, 3), 10**7), "hat_bind_weights": np.ones((3, 3))}, "do not fit"),
+    ({"attachments": np.float64(3)}, "do not fit"),
+])  # fmt: skip
+def test_edge_a_mesh_that_does_not_fit(body: BodyModel, change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        read_attachments(body, MESH | change)

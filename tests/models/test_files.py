@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import body_files
 import mano_files
 import numpy as np
 import pytest
+from test_pickles import bounded
 
 from synthgen.errors import ModelError
 from synthgen.models import ManoModel, list_models, load, load_hand
@@ -282,6 +284,64 @@ def test_edge_bodies(tmp_path: Path, family: str, change: dict[str, Any], words:
     with pytest.raises(ModelError, match=words) as caught:
         load(tmp_path / "bad.npy")
     assert "bad.npy" in str(caught.value)
+
+
+HOSTILE = {
+    "one joint": (
+        {"weights": np.ones((128, 1)), "posedirs": np.zeros((128, 3, 0)),
+         "J_regressor": np.ones((1, 128)) / 128, "kintree_table": np.zeros((2, 1))},
+        "at least two joints",
+    ),
+    "expression without dimensions": ({"exprdirs": np.float64(3)}, "exprdirs is ()"),
+    "beyond single precision": ({"v_template": np.full((128, 3), 1e308)}, "holds 1e+308"),
+    "broken faces": ({"f": np.full((9, 3), 0.5)}, "vertex ids"),
+    "names of few joints": ({"joint_names": np.array(["a", "b"])}, "expected 52 names"),
+    "one name for all": ({"joint_names": np.array(["a"] * 52)}, "all different"),
+    "axes of few joints": ({"joint_axes": np.zeros((3, 2))}, "joint_axes is (3, 2)"),
+    "a scale that grows": (
+        {"v_template_q": np.ones((20_000, 1), np.int16), "v_template_scale": np.ones((1, 20_000))},
+        "does not fit v_template_q",
+    ),
+    "two types in one": ({"v_template": np.zeros(128, [("a", "f8"), ("b", "f8")])}, "dtype"),
+    "odd key": ({"v\x1b[31m": np.zeros(3), "v_template": None}, r"v\x1b[31m"),
+    "long key": ({"v" * 60_000: np.zeros(3), "v_template": None}, "v..."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_edge_hostile(name: str, tmp_path: Path) -> None:
+    change, words = HOSTILE[name]
+    content = {k: v for k, v in (body_files.body("smplh") | change).items() if v is not None}
+    np.savez(tmp_path / "bad.npz", **content)
+    with bounded(), pytest.raises(ModelError, match=re.escape(words)) as caught:
+        load(tmp_path / "bad.npz")
+    assert "bad.npz" in str(caught.value)
+    assert len(str(caught.value)) < 2000
+
+
+def test_edge_a_compact_form_that_grows(tmp_path: Path) -> None:
+    """Small arrays that declare a dense model of hundreds of gigabytes."""
+    arrays = {
+        "shipped_form": np.array("smplh"), "v_template": np.zeros((300_000, 3), np.float16),
+        "kintree_table": np.zeros((2, 10_000), np.int8),
+        "posedirs_blocks": np.zeros((1, 3, 9), np.int16),
+    }  # fmt: skip
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with bounded(), pytest.raises(ModelError, match="would take"):
+        load(tmp_path / "bad.npz")
+
+
+def test_edge_a_file_beyond_any_model_is_not_hashed(tmp_path: Path) -> None:
+    with (tmp_path / "bad.pkl").open("wb") as stream:
+        stream.truncate(10**11)
+    with bounded(), pytest.raises(ModelError, match="at most"):
+        load(tmp_path / "bad.pkl")
+
+
+@pytest.mark.parametrize("name", ["a" * 5000 + ".npz", "a\0b.npz", "", 7, None])
+def test_edge_no_name_of_a_file(name: Any) -> None:
+    with pytest.raises(ModelError, match=r"no model|named by"):
+        load(name)
 
 
 def test_edge_constrained_tree_of_ragged_lists(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from synthgen.models.foot import (
     read_feet,
     touching,
 )
+from synthgen.models.shipped import shipped_extras
 from synthgen.sampling.streams import stream
 
 SHAPE, POSE = np.zeros((1, 30)), np.zeros((1, 75, 3))
@@ -135,3 +137,22 @@ def test_edge_bad_input(feet: tuple[FootNetwork, FootNetwork]) -> None:
     with pytest.raises(ModelError, match="foot_matrix"):
         read_feet({f"foot_{what}_{k}": np.zeros((2, 2)) for what in ("matrix", "bias")
                    for k in range(9)})  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"foot_bias_3": None}, "lack 'foot_bias_3'"),
+    ({"foot_bias_3": np.zeros(3)}, "foot_bias"),
+    ({"foot_matrix_3": np.array("x")}, "do not fit together"),
+    ({"foot_spread_row": np.full(1, 10**7)}, "do not fit together"),
+])  # fmt: skip
+def test_edge_arrays_that_do_not_fit(change: dict[str, Any], words: str) -> None:
+    arrays = {k: v for k, v in (dict(shipped_extras("cc0-supr")) | change).items() if v is not None}
+    with pytest.raises(ModelError, match=words):
+        read_feet(arrays)
+
+
+def test_edge_points_beyond_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    arrays = dict(shipped_extras("cc0-supr")) | {"foot_left_point_ids": np.full(266, 10**7)}
+    monkeypatch.setattr("synthgen.models.foot.shipped_extras", lambda _: arrays)
+    with pytest.raises(ModelError, match="left foot's network"):
+        feet_of(load("cc0-supr"))
