@@ -254,7 +254,7 @@ def _edge_rank(view: View) -> float:
 
     Around: 24 places 8 to 24 px away; 0.5 by chance, whatever the contrast.
     """
-    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
+    grey = _grey(view)
     change = np.zeros_like(grey)
     change[2:-3, 2:-3] = np.abs(grey[4:-1, 2:-3] - grey[:-5, 2:-3])
     change[2:-3, 2:-3] += np.abs(grey[2:-3, 4:-1] - grey[2:-3, :-5])
@@ -274,10 +274,16 @@ def _edge_rank(view: View) -> float:
 
 def _mirrored_gain(view: View) -> float:
     """Image contrast across the labels' edges mirrored over that across the edges."""
-    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
+    grey = _grey(view)
     outline = np.argwhere(_label_edges(view))
     flipped = np.stack([outline[:, 0], grey.shape[1] - outline[:, 1]], axis=1)
     return _contrast(grey, flipped) / max(_contrast(grey, outline), 1e-6)
+
+
+def _grey(view: View) -> Array:
+    """Lightness (H, W), blurred by a pixel: noise of few light paths would drown the edges."""
+    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
 
 
 def _label_edges(view: View) -> NDArray[np.bool_]:
