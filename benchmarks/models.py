@@ -142,6 +142,7 @@ def _bandwidth(made: Any, what: str) -> str:
 
 def _loading() -> list[str]:
     """Read a raw SMPL+H pickle of the real size, first afresh and then from the cache."""
+    from synthgen.models import files as files_module
     from synthgen.models import load
 
     files = _generator("body_files")
@@ -157,11 +158,12 @@ def _loading() -> list[str]:
     with tempfile.TemporaryDirectory() as folder, _cache_in(Path(folder) / "cache"):
         path = files.write_python2(Path(folder) / "SMPLH_male.pkl", values)
         size = path.stat().st_size / 1e6
+        time.sleep(2.5)  # the hash of a file is remembered once its time stamp has settled
         for _ in range(2):
             begun = time.process_time()
             load(path)
             times.append(time.process_time() - begun)
-            path.touch()  # another time stamp: nothing is remembered in memory
+            files_module._load.cache_clear()  # as a new process: the cache on disk alone is left
     return [
         f"load of a {size:.0f} MB SMPL+H pickle: {times[0]:.2f} CPU s (wanted: <= 1.5), from the "
         f"cache {times[1]:.2f} (wanted: <= 0.1)"
