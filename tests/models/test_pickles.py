@@ -21,21 +21,21 @@ from scipy import sparse
 from synthgen.errors import ModelError
 from synthgen.models.pickles import read_pickle, unpickled, unpickled_dict
 
-LIMIT_S, LIMIT_BYTES = 1.0, 350 * 2**20
+LIMIT_BYTES = 350 * 2**20
 
 
 @contextlib.contextmanager
 def bounded() -> Iterator[None]:
-    """Fail where more than a second of CPU or 350 MB beyond the interpreter's own are taken."""
+    """Fail where more than 350 MB beyond the interpreter's own are taken.
+
+    Time is a promise of its own, below: tracing memory multiplies it.
+    """
     tracemalloc.start()
-    start = time.process_time()
     try:
         yield
     finally:
-        took = time.process_time() - start
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-    assert took < LIMIT_S
     assert peak < LIMIT_BYTES
 
 
@@ -68,6 +68,18 @@ def test_edge_hand_written_streams(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", attacks.BOMBS)
 def test_edge_bombs(name: str, tmp_path: Path) -> None:
     refuse(attacks.BOMBS[name](), tmp_path)
+
+
+@pytest.mark.prove
+def test_prove_each_attack_ends_within_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "attack.pkl"
+    streams = {**attacks.STREAMS, **{name: make() for name, make in attacks.BOMBS.items()}}
+    for name, data in streams.items():
+        path.write_bytes(data)
+        start = time.process_time()
+        with pytest.raises(ModelError):
+            read_pickle(path)
+        assert time.process_time() - start < 1.0, name
 
 
 def test_edge_words_name_what_was_refused(tmp_path: Path) -> None:
