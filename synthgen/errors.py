@@ -37,10 +37,6 @@ class FileError(SynthgenError):
     """A picture or panorama of the user's is missing, unreadable, hostile or has changed."""
 
 
-class RenderError(SynthgenError):
-    """A scene cannot be rendered as described."""
-
-
 class ScanError(SynthgenError):
     """A rig, a unit or a scene cannot be scanned; the message names the unit and says why."""
 

@@ -20,7 +20,7 @@ from synthgen.errors import ShapeError
 # Corner barycentrics of the four children of a triangle with edge points ab, bc, ca:
 # (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca).
 _H = 0.5
-_CHILDREN = np.array(
+CHILDREN = np.array(
     [
         [[1, 0, 0], [_H, _H, 0], [_H, 0, _H]],
         [[_H, _H, 0], [0, 1, 0], [0, _H, _H]],
@@ -80,7 +80,7 @@ class InterpolatingSubdivision:
         for _ in range(levels):
             step, midpoints, current = _refine(current, smooth.shape[0])
             smooth, flat = (step @ smooth).tocsr(), (midpoints @ flat).tocsr()
-            corners = np.einsum("dij,cjk->cdik", _CHILDREN, corners).reshape(-1, 3, 3)
+            corners = np.einsum("dij,cjk->cdik", CHILDREN, corners).reshape(-1, 3, 3)
         through = linalg.splu(smooth[:n_vertices].tocsc())
         return InterpolatingSubdivision(current, corners, smooth, flat, through.solve)
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.geometry.normals import face_cross, unit
+from synthgen.geometry.subdivision import CHILDREN
 from synthgen.scanner.subject import ScanScene, Solid
 
 Array = NDArray[np.float64]
@@ -19,16 +20,6 @@ Ids = NDArray[np.int64]
 
 MAX_FACES = 2_000_000
 _MAX_LEVELS = 10
-_H = 0.5
-# Corner barycentrics of the children of a triangle with edge points ab, bc, ca.
-_CHILDREN = np.array(
-    [
-        [[1, 0, 0], [_H, _H, 0], [_H, 0, _H]],
-        [[_H, _H, 0], [0, 1, 0], [0, _H, _H]],
-        [[_H, 0, _H], [0, _H, _H], [0, 0, 1]],
-        [[_H, _H, 0], [0, _H, _H], [_H, 0, _H]],
-    ]
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +172,7 @@ def corner_barycentrics(levels: int) -> Array:
     """Return where the corners of each child lie in its parent, (4**levels, 3, 3)."""
     corners = np.eye(3)[None]
     for _ in range(levels):
-        corners = np.einsum("dij,cjk->cdik", _CHILDREN, corners).reshape(-1, 3, 3)
+        corners = np.einsum("dij,cjk->cdik", CHILDREN, corners).reshape(-1, 3, 3)
     return corners
 
 
