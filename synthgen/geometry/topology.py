@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from synthgen.errors import ShapeError
 
@@ -49,3 +51,11 @@ def boundary_edges(faces: NDArray[Any]) -> NDArray[np.int64]:
     present = {(int(a), int(b)) for a, b in directed}
     open_ = sorted((a, b) for a, b in present if (b, a) not in present)
     return np.array(open_, dtype=np.int64).reshape(-1, 2)
+
+
+def pieces(faces: NDArray[Any], n: int) -> NDArray[np.int64]:
+    """Return for each of n vertices the number of the connected piece of faces (F, 3) it is in."""
+    f = np.asarray(faces, dtype=np.int64)
+    a, b = np.concatenate([f[:, [0, 1]], f[:, [1, 2]]]).T
+    graph = sparse.coo_matrix((np.ones(len(a), bool), (a, b)), (n, n))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse.csgraph import connected_components
+from scipy import ndimage
 from skimage import measure
 
 from synthgen.errors import ScanError
+from synthgen.geometry.topology import pieces
 from synthgen.scanner.tsdf import Field
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -73,9 +73,7 @@ def _cut(values: NDArray[np.bool_], axis: int, side: int) -> NDArray[np.bool_]:
 def _large_pieces(faces: NDArray[np.int64], n: int, least: int) -> NDArray[np.int64]:
     if not len(faces):
         return faces
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = sparse.coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (n, n))
-    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    piece = pieces(faces, n)[faces[:, 0]]
     return np.asarray(faces[np.bincount(piece)[piece] >= least])
 
 

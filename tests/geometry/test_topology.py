@@ -8,7 +8,7 @@ import trimesh
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.normals import vertex_normals
-from synthgen.geometry.topology import boundary_edges, boundary_loops
+from synthgen.geometry.topology import boundary_edges, boundary_loops, pieces
 
 
 def test_reference_open_tube() -> None:
@@ -35,3 +35,10 @@ def test_reference_sphere_normals() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
     normals = vertex_normals(ball.vertices, ball.faces)
     assert np.sum(normals * ball.vertices, axis=1).min() > 0.999
+
+
+def test_properties_pieces() -> None:
+    faces = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]])
+    piece = pieces(faces, 8)
+    assert len(set(piece[:4])) == len(set(piece[4:7])) == 1
+    assert len({piece[0], piece[4], piece[7]}) == 3
