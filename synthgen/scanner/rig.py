@@ -13,6 +13,7 @@ from typing import Literal
 
 from synthgen.errors import ConfigError, nearest
 from synthgen.geometry.cameras import Camera
+from synthgen.render.readout import Readout
 
 Vec3 = tuple[float, float, float]
 Role = Literal["left", "right", "colour"]
@@ -167,7 +168,15 @@ class Sensor:
     @property
     def full_scale(self) -> int:
         """Largest count."""
-        return int(2**self.bits - 1)
+        return self.readout.full_scale
+
+    @property
+    def readout(self) -> Readout:
+        """The part of it that turns light into counts, as every camera here does."""
+        return Readout(
+            self.full_well_e, self.shot_noise, self.read_noise_e, self.prnu, self.hot_share,
+            bits=self.bits, black_dn=self.black_dn,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
