@@ -72,17 +72,9 @@ def body_scene(
     """
     betas = np.zeros((1, model.n_shape)) if shape is None else np.asarray(shape)[None]
     turns = np.zeros((1, len(model.parents), 3)) if pose is None else np.asarray(pose)[None]
-    posed = model.evaluate(betas, turns)
-    vertices = posed.vertices
-    if pressed:
-        ground = float(vertices[..., 1].min()) + PRESSED_M
-        plane = (0.0, 1.0, 0.0, ground)
-        vertices = deform_feet(
-            feet_of(model), vertices, posed.transforms, model.weights, betas, turns, plane
-        )
-    planes = tuple(keep)
+    vertices, planes = _posed(model, betas, turns, pressed), tuple(keep)
     fine = InterpolatingSubdivision.build(model.faces, len(model.v_template), levels)
-    solids = [_solid(fine.apply(vertices[0]), fine.faces, planes, skin)]
+    solids = [_solid(fine.apply(vertices), fine.faces, planes, skin)]
     chosen = [a for a in attachments_of(model) if a.name in _known(model, wear)]
     for attachment, points in zip(
         chosen, dressed(model, chosen, betas, turns).values(), strict=True
@@ -90,6 +82,19 @@ def body_scene(
         colours = _per_vertex(attachment.colour, attachment.faces, len(points[0]))
         solids.append(_solid(points[0], attachment.faces, planes, None, colours))
     return ScanScene(tuple(solid for solid in solids if solid is not None))
+
+
+def _posed(model: BodyModel, betas: Array, turns: Array, pressed: bool) -> NDArray[np.float32]:
+    """Return the skin's vertices (V, 3)."""
+    posed = model.evaluate(betas, turns)
+    if not pressed:
+        return np.asarray(posed.vertices[0])
+    ground = float(posed.vertices[..., 1].min()) + PRESSED_M
+    plane = (0.0, 1.0, 0.0, ground)
+    feet = feet_of(model)
+    frames, weights = posed.transforms, model.weights
+    whole = deform_feet(feet, posed.vertices, frames, weights, betas, turns, plane)
+    return np.asarray(whole[0])
 
 
 def standing(scene: ScanScene, rig: Rig) -> ScanScene:

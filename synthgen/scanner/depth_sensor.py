@@ -9,7 +9,7 @@ disparities, and with them its nearest depth.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np

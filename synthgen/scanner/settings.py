@@ -77,7 +77,7 @@ def settings_for(rig: Rig, level: Level = "full", preset: Preset = "default") ->
     if level == "half":
         window, step = max(9, 2 * int(0.35 * window) + 1), max(1, round(2 * step / 3))
         voxel *= _HALF_VOXEL
-    match = MatchSettings(step=step, dic=DicSettings(window=window))
+    match = MatchSettings(step=step, rows=asked.rows, dic=DicSettings(window=window))
     if preset == "best":
-        match = replace(BEST, step=step)
+        match = replace(BEST, step=step, rows=asked.rows)
     return ScanSettings(match=match, fusion=FusionSettings(voxel_m=voxel))
