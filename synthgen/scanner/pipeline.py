@@ -27,7 +27,7 @@ from synthgen.scanner.report import Report, picture_report, scan_report, unit_re
 from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
 from synthgen.scanner.rig import Rig, Unit, scaled
 from synthgen.scanner.rows import find_row_offset
-from synthgen.scanner.settings import ScanSettings, settings_for
+from synthgen.scanner.settings import ScanSettings, check_level, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
 from synthgen.scanner.tsdf import fuse
@@ -86,7 +86,12 @@ def scan(
     ------
     ScanError
         If the subject is outside the working volume or a camera inside a solid.
+    ShapeError
+        If what is given is no mesh of triangles, or ``rng`` no generator.
+    ConfigError
+        If there is no such level, or the samples per pixel are no square number.
     """
+    check_level(level)
     chosen = settings or settings_for(rig, level)
     scene = scene_of(mesh_or_scene)
     used = scaled(rig, 0.5) if level == "half" else rig

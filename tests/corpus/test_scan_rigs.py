@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import fake
 import numpy as np
 import pytest
 
-from synthgen.config import load_config
+from synthgen.config import Config, load_config
 from synthgen.corpus import open_corpus
-from synthgen.corpus.runner import generate
+from synthgen.corpus.runner import Attempt, generate
+from synthgen.corpus.scanning import Scanning
 from synthgen.corpus.show import describe
 from synthgen.errors import ConfigError, CorpusError
 from synthgen.scanner import list_rigs
@@ -29,15 +31,12 @@ SMALL = [
 ]  # fmt: skip
 
 
-def own_rig(folder: Path, name: str = "mine", **changes: str) -> Path:
-    """A copy of the small rig with words of its file replaced."""
+def own_rig(folder: Path, name: str = "mine", old: str = "", new: str = "") -> Path:
+    """A copy of the small rig with some words of its file replaced."""
     text = list_rigs()["mini"].read_text()
-    for old, new in changes.items():
-        key = old.replace("__", ": ")
-        assert key in text, key
-        text = text.replace(key, new)
+    assert old in text
     path = folder / f"{name}.yaml"
-    path.write_text(text)
+    path.write_text(text.replace(old, new) if old else text)
     return path
 
 
@@ -77,14 +76,16 @@ def test_properties_the_digest_is_of_the_content(mine: tuple[Path, Path], tmp_pa
 
     _, rig = mine
     assert rig_digest(rig) == rig_digest("mini") == rig_digest(own_rig(tmp_path, "other"))
-    brighter = own_rig(tmp_path, "brighter", irradiance__0="irradiance: 1")
+    renamed = own_rig(tmp_path, "renamed", "Two small units", "A pair of units")
+    assert rig_digest(renamed) == rig_digest(rig), "its summary decides nothing"
+    brighter = own_rig(tmp_path, "brighter", "irradiance: 0.5", "irradiance: 1")
     assert rig_digest(brighter) != rig_digest(rig)
 
 
 def test_properties_the_digest_is_of_the_slide_as_well(tmp_path: Path) -> None:
     from synthgen.scanner.load import rig_digest
 
-    rig = own_rig(tmp_path, kind__speckle="kind: image, image: slide.png")
+    rig = own_rig(tmp_path, "pictured", "kind: speckle", "kind: image, image: slide.png")
     picture = np.zeros((64, 64), np.uint8)
     picture[::7, ::5] = 255
     cv2.imwrite(str(tmp_path / "slide.png"), picture)
@@ -106,8 +107,6 @@ def test_edge_a_rig_that_changed_is_refused(mine: tuple[Path, Path], tmp_path: P
             make(copy, rig, samples=2)
         with pytest.raises(CorpusError, match=r"has changed since.*restore its file"):
             describe(copy, 0, remake=True)
-        rig.write_text(before.replace("Two small units", "A pair of units"))
-        assert describe(copy, 0, remake=True)["remake"]["same"], "its summary decides nothing"
     finally:
         rig.write_text(before)
 
@@ -121,10 +120,23 @@ def test_edge_a_calibration_that_cannot_be_matched(tmp_path: Path) -> None:
         make(tmp_path / "corpus", rig)
 
 
-def test_edge_dark_projectors_are_rejections_that_name_the_unit(tmp_path: Path) -> None:
-    rig = own_rig(tmp_path, irradiance__0="irradiance: 0")
-    with pytest.raises(CorpusError, match=r"rejected 10 times.*unit front: black speckle"):
-        make(tmp_path / "corpus", rig)
+def test_edge_a_run_goes_on_and_records_the_rejection(tmp_path: Path) -> None:
+    """The first hand is put before dark projectors, the redraw before bright ones."""
+    dark, bright = own_rig(tmp_path, "dark", "irradiance: 0.5", "irradiance: 0"), "mini"
+
+    def maker(config: Config) -> Attempt:
+        inner = fake.quick(config)
+        other = load_config("hand_scan", [*SMALL, f"scanner.rig={dark}"])
+        failing, working = (Scanning(c, inner).attempt for c in (other, config))
+        return lambda spec: (working if spec.attempt else failing)(spec)
+
+    corpus = open_corpus(make(tmp_path / "corpus", bright, "scanner.level=half", maker=maker))
+    assert corpus[0].spec.attempt == 1
+    assert len(corpus[0].scan.vertices) > 100
+    (reason,) = corpus.manifest["shards"][0]["redrawn"]["0"]
+    assert reason.startswith("scan: the scan is empty")
+    for unit in ("front", "right"):
+        assert f"unit {unit}: black speckle: projectors front/0, right/0 give 0" in reason
 
 
 @pytest.mark.prove
