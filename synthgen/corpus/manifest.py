@@ -22,7 +22,9 @@ MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
 
 def engine(config: Config) -> dict[str, Any]:
-    """Return what decides the bytes besides the config: model, back end, library versions.
+    """Return what decides the bytes besides the config: model, rig, back end, library versions.
+
+    The rig's digest is there where a scanner or a depth camera is.
 
     The denoiser counts where one is asked for: ``oidn``, or ``auto``, which may find it missing.
     """
@@ -38,7 +40,23 @@ def engine(config: Config) -> dict[str, Any]:
             "synthgen": __version__,
             **backend.versions(denoiser=config.render.denoise != "none"),
         },
+        **rig_digests(config),
     }
+
+
+def rig_digests(config: Config) -> dict[str, str]:
+    """Return the digests of the rigs that a config uses: their files may change, its words not."""
+    found = {}
+    if config.scanner.rig is not None:
+        from synthgen.scanner.load import rig_digest
+
+        found["rig_digest"] = rig_digest(config.scanner.rig)
+    if config.render.sensor_depth != "off":
+        from synthgen.corpus.sensing import RIG
+        from synthgen.scanner.load import rig_digest
+
+        found["depth_rig_digest"] = rig_digest(RIG)
+    return found
 
 
 def write_manifest(corpus: Path) -> None:

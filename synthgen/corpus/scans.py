@@ -7,7 +7,8 @@ scan        KEY.scan.ply               mesh, world of the sample, metres: normal
                                        texture coordinates, and the provenance per vertex
 ..          KEY.texture.jpg            texture map, sRGB
 ..          KEY.corner_uv.npy          (F, 3, 2) uint16 / 65535, per corner of each face
-..          KEY.scan.json              rig, level, scanner seed, pose, what failed
+..          KEY.scan.json              rig, level, scanner seed, pose, and the report: what every
+                                       unit did and lost, what was not as asked
 stereo      KEY.UNIT.left.png, right   rectified speckle pictures, 8 bit
 ..          KEY.UNIT.disparity.npy     measured, (h, w) float32 pixels, NaN unknown
 ..          KEY.UNIT.true.npy          what an ideal matcher would find, the same grid
@@ -46,6 +47,7 @@ def scan_members(scan: Scan, rig: Rig, T_world_from_rig: NDArray[Any]) -> Member
         "level": scan.level,
         "T_world_from_rig": np.asarray(T_world_from_rig).tolist(),
         "units": [{"ident": unit.ident, "problem": unit.problem} for unit in scan.units],
+        "report": scan.report,
     }
     bgr = np.ascontiguousarray(scan.texture[..., ::-1])
     picture = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
@@ -114,6 +116,7 @@ def read_scan(key: str, fetch: Fetch) -> Scan | None:
         provenance=_provenance(vertices),
         units=tuple(u for row in facts["units"] if (u := _unit(key, row["ident"], fetch))),
         level=facts["level"],
+        report=facts.get("report", {}),
     )
 
 

@@ -9,15 +9,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.config import load_config
+from synthgen.config import Config, load_config
 from synthgen.corpus import atomic
 from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_picture
+from synthgen.corpus.manifest import rig_digests
 from synthgen.corpus.plan import CONFIG
 from synthgen.corpus.reading import Corpus, open_corpus
 from synthgen.corpus.runner import with_sensors
 from synthgen.corpus.sample import Sample
 from synthgen.corpus.scan_pictures import scan_pictures
+from synthgen.errors import CorpusError
 from synthgen.scanner import Scan
 
 
@@ -90,7 +92,8 @@ def _scan(scan: Scan) -> dict[str, Any]:
         "rms_m": float(np.sqrt(np.mean(error**2))),
         "median_m": float(np.median(error)),
         "coloured": float((scan.provenance["colour_unit"] >= 0).mean()),
-        "units": {unit.ident: unit.problem for unit in scan.units},
+        "notes": scan.report.get("notes", []),
+        "units": scan.report.get("units", {}),
     }
 
 
@@ -104,10 +107,17 @@ def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
 
 
 def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
-    """Render a sample again from its spec; tell which stored members differ."""
+    """Render a sample again from its spec; tell which stored members differ.
+
+    Raises
+    ------
+    CorpusError
+        If a rig is no longer what the corpus was made with.
+    """
     from synthgen.render.renderer import Renderer
 
     config = load_config(str(corpus.path / CONFIG))
+    _same_rigs(corpus, config)
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
     rendered = renderer.render(sample.spec)
@@ -122,3 +132,13 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
                 if sample.views[number].stored(column, suffix) != data:
                     differing.append(f"{column}/{key}.{suffix}")
     return {"same": not differing, "differing": differing}
+
+
+def _same_rigs(corpus: Corpus, config: Config) -> None:
+    for name, digest in rig_digests(config).items():
+        made = str(corpus.manifest.get(name))
+        if made != digest:
+            raise CorpusError(
+                f"{name} was {made[:12]}, is {digest[:12]}: the rig {config.scanner.rig} has "
+                f"changed since {corpus.path} was made; restore its file"
+            )

@@ -47,10 +47,12 @@ def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
 def boundary_edges(faces: NDArray[Any]) -> NDArray[np.int64]:
     """Return the directed edges (n, 2) of faces (F, 3) that no other face runs back along."""
     f = np.asarray(faces, dtype=np.int64)
-    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-    present = {(int(a), int(b)) for a, b in directed}
-    open_ = sorted((a, b) for a, b in present if (b, a) not in present)
-    return np.array(open_, dtype=np.int64).reshape(-1, 2)
+    start, end = f.ravel(), np.roll(f, -1, axis=1).ravel()
+    n = int(f.max(initial=0)) + 1
+    there = np.unique(start * n + end)  # an edge as one number, which sorts as its two ends do
+    back = np.sort(there % n * n + there // n)
+    open_ = there[~np.isin(there, back, assume_unique=True)]
+    return np.stack([open_ // n, open_ % n], axis=1)
 
 
 def pieces(faces: NDArray[Any], n: int) -> NDArray[np.int64]:

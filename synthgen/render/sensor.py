@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.render.readout import Readout, electrons
 from synthgen.sampling.streams import stream
 from synthgen.scene import Sensor
 
@@ -93,7 +94,7 @@ def develop(
         glow = _blurred(np.clip(x - 0.9, 0, 4), _BLOOM_SHARE * x.shape[1])
         x = x + sensor.bloom * glow
     if sensor.full_well > 0:
-        x = _noisy(x, sensor, view)
+        x = read_out(x, sensor, rng=stream(sensor.seed, "sample", view, 0, "sensor noise"))
     if sensor.bayer:
         x = demosaic(mosaic(x))
     over = _KNEE + (1 - _KNEE) * (1 - np.exp(-(np.maximum(x, _KNEE) - _KNEE) / (1 - _KNEE)))
@@ -107,12 +108,14 @@ def _blurred(image: Array, sigma: float) -> Array:
     return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma), np.float64)
 
 
-def _noisy(x: Array, sensor: Sensor, view: int) -> Array:
-    """Shot and read noise: variance of the electrons is their number, plus the read noise's."""
-    rng = stream(sensor.seed, "sample", view, 0, "sensor noise")
-    electrons = np.minimum(x, 1.5) * sensor.full_well
-    deviation = np.sqrt(electrons + sensor.read_e**2) / sensor.full_well
-    return np.maximum(x + deviation * rng.standard_normal(x.shape), 0)
+def read_out(x: NDArray[Any], sensor: Sensor, *, rng: np.random.Generator) -> NDArray[Any]:
+    """Return exposed light (H, W, 3), 1 is white, with the sensor's shot and read noise.
+
+    Highlights beyond white are left to the curve.
+    """
+    model = Readout(sensor.full_well, read_noise_e=sensor.read_e, saturation=np.inf)
+    held = electrons(x, model, rng=rng)
+    return np.asarray(np.maximum(held / x.dtype.type(sensor.full_well), 0))
 
 
 def mosaic(x: Array) -> Array:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isqrt
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.errors import ConfigError
 from synthgen.geometry.cameras import Camera
 from synthgen.render import backend
 from synthgen.scanner.glass import normal_shift, thickness_for, transmittance
@@ -157,6 +159,11 @@ class Sampling:
     key: int
     window: tuple[float, float] = (-1e9, 1e9)
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be laid out as a square."""
+        if self.spp < 1 or isqrt(self.spp) ** 2 != self.spp:
+            raise ConfigError(f"spp = {self.spp}; allowed are square numbers: 1, 4, 9, 16, ...")
+
 
 def integrate(
     stage: Stage, camera: Camera, pixels: NDArray[np.uint32], shutter: Shutter,
@@ -190,7 +197,7 @@ def integrate(
     index = mi.UInt32(pixels)
     wide = dr.opaque(mi.UInt32, camera.width)
     column, row = mi.Float(index % wide), mi.Float(index // wide)
-    side = dr.opaque(mi.UInt32, int(sampling.spp**0.5))
+    side = dr.opaque(mi.UInt32, isqrt(sampling.spp))
     count = dr.opaque(mi.UInt32, sampling.spp)
     salt = dr.opaque(mi.UInt32, sampling.key & 0xFFFFFFFF)
     late = (row - number((camera.height - 1) / 2)) * number(shutter.line_delay_s)

@@ -9,7 +9,7 @@ disparities, and with them its nearest depth.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from synthgen.errors import ConfigError
 from synthgen.geometry.cameras import Camera, undistort
-from synthgen.geometry.transforms import apply, invert
+from synthgen.geometry.transforms import invert
 from synthgen.sampling.streams import stream
 from synthgen.scanner.calibration import perturbed
 from synthgen.scanner.census import match_census
@@ -28,7 +28,7 @@ from synthgen.scanner.noise import add_noise, load_noise
 from synthgen.scanner.rectify import Rectified
 from synthgen.scanner.rig import Calibration, Rig, Unit, scale_camera
 from synthgen.scanner.stage import Effects, prepare
-from synthgen.scanner.subject import ScanScene
+from synthgen.scanner.subject import ScanScene, placed
 
 DepthLevel = Literal["full", "model"]
 _LARGEST_DISPARITY = 126
@@ -83,7 +83,7 @@ def sense_depth(
     device = device_for(rig, camera)
     unit = device.units[0]
     T = unit.nominal.left.T @ invert(camera.T)
-    stage = prepare(_moved(scene, T), device, rng=rng, effects=_EFFECTS)
+    stage = prepare(placed(scene, T), device, rng=rng, effects=_EFFECTS)
     pair = _pair(unit)
     problem = None
     if level == "full":
@@ -127,21 +127,6 @@ def _with_field(own: Camera, view: Camera) -> Camera:
     field = scale_camera(view, own.fx / view.fx)
     return replace(
         field, fy=field.fx, distortion=(0.0,) * 5, T_world_from_camera=own.T_world_from_camera
-    )
-
-
-def _moved(scene: ScanScene, T: NDArray[Any]) -> ScanScene:
-    turn = T[:3, :3].T
-    return ScanScene(
-        tuple(
-            replace(
-                solid,
-                vertices=apply(T, solid.vertices),
-                normals=None if solid.normals is None else solid.normals @ turn,
-                velocity_m_s=None if solid.velocity_m_s is None else solid.velocity_m_s @ turn,
-            )
-            for solid in scene.solids
-        )
     )
 
 

@@ -41,6 +41,8 @@ ROLES: tuple[Role, Role, Role] = ("left", "right", "colour")
 _POSES = 4
 # Below this share of the ambient light there is no speckle to speak of.
 _BLACK = 0.02
+# From this share of saturated pixels on no pattern is left.
+_WHITE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,20 +197,28 @@ def _problem(
 ) -> str | None:
     for picture, role in zip(seen, ROLES[:2], strict=True):
         if picture.max() <= 1.5 * stage.rig.light.background:
-            return (
-                f"unit {unit.ident}: its {role} camera sees nothing of the subject; move the "
-                "subject into the working volume or aim the unit at it"
+            return f"unit {unit.ident}: its {role} camera sees " + (
+                "only what is dark or smaller than a few pixels, or faces from behind: they must "
+                "run counter-clockwise seen from outside"
+                if _in_view(stage, unit.true.camera(role)).any()
+                else "nothing of the subject; move the subject into the working volume or aim the "
+                "unit at it"
             )
-    return _dark(stage, unit, time_s) or _underexposed(unit, left, sensor)
+    return _dark(stage, unit, time_s) or _misexposed(unit, left, sensor)
+
+
+def _in_view(stage: Stage, camera: Camera) -> NDArray[np.bool_]:
+    """Return which drawn vertices (V,) lie in a camera's frame, hidden ones included."""
+    pixels, z = project(camera, stage.vertices)
+    size = np.array([camera.width, camera.height])
+    return np.asarray((z > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1))
 
 
 def _dark(stage: Stage, unit: Unit, time_s: float) -> str | None:
     """Tell black speckle: projectors that give nothing against the ambient light."""
     camera = unit.true.left
-    pixels, z = project(camera, stage.vertices)
-    size = np.array([camera.width, camera.height])
     facing = np.einsum("vk,vk->v", stage.normals, camera.position - stage.vertices) > 0
-    inside = (z > 0) & facing & ((pixels >= 0) & (pixels < size)).all(axis=1)
+    inside = facing & _in_view(stage, camera)
     light = _soft(stage, unit.slot, time_s).irradiance[inside]
     ambient = stage.rig.light.ambient
     strongest = float(np.quantile(light, 0.95)) if len(light) else 0.0
@@ -216,19 +226,28 @@ def _dark(stage: Stage, unit: Unit, time_s: float) -> str | None:
         return None
     names = [p.ident for p in stage.rig.lit_by(unit)]
     shown = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
+    shown = shown or f"(none in its slot {unit.slot})"
     return (
-        f"unit {unit.ident}: black speckle: projectors {shown or '(none in its slot)'} give "
+        f"unit {unit.ident}: black speckle: projectors {shown} give "
         f"{strongest:.2g} of irradiance against {ambient:g} of ambient light on what its left "
         "camera sees; raise projector.irradiance (what arrives at the focus distance) or aim them"
     )
 
 
-def _underexposed(unit: Unit, left: NDArray[Any], sensor: Sensor) -> str | None:
+def _misexposed(unit: Unit, left: NDArray[Any], sensor: Sensor) -> str | None:
     black = sensor.black_dn * sensor.full_scale / 255
     bright = float(np.quantile(left, 0.999)) - black
-    if bright * 255 / sensor.full_scale > 6:
+    if bright * 255 / sensor.full_scale <= 6:
+        return (
+            f"unit {unit.ident}: the picture is black, {bright:.1f} counts above the black level "
+            f"of {sensor.bits} bits; raise grey_sensor.gain, or leave it null for automatic "
+            "exposure"
+        )
+    lit = left[left > black + 6 * sensor.full_scale / 255]
+    white = float((lit >= 0.97 * sensor.full_scale).mean()) if len(lit) else 0.0
+    if white < _WHITE:
         return None
     return (
-        f"unit {unit.ident}: the picture is black, {bright:.1f} counts above the black level of "
-        f"{sensor.bits} bits; raise grey_sensor.gain, or leave it null for automatic exposure"
+        f"unit {unit.ident}: the picture is overexposed, {100 * white:.0f} % of what is lit is at "
+        "full scale; lower grey_sensor.gain, or leave it null for automatic exposure"
     )

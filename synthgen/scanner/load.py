@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from synthgen.geometry.cameras import Camera, camera_from_K
 from synthgen.geometry.transforms import look_at
 from synthgen.sampling.streams import stream
 from synthgen.scanner.calibration import epipolar_rms_px, perturbed
+from synthgen.scanner.pattern import picture_bytes
 from synthgen.scanner.rig import (
     MAX_PROJECTORS,
     Calibration,
@@ -31,12 +34,14 @@ from synthgen.scanner.rig import (
     Sensor,
     Unit,
 )
-from synthgen.scanner.rig_file import CameraSpec, PlaceSpec, RigSpec
+from synthgen.scanner.rig_file import MAX_ROWS, CameraSpec, PlaceSpec, RigSpec
 
 Array = NDArray[np.float64]
 TEXELS_PER_DOT = 5.0
 MAX_SLIDE_PX = 4096
 MAX_DRAWS = 200
+# Epipolar RMS that a search over one more row copes with: errors are twice as large at edges.
+TOLERATED_PX_PER_ROW = 0.5
 
 
 def list_rigs() -> dict[str, Path]:
@@ -63,6 +68,34 @@ def load_rig(name: str | Path, seed: int = 0) -> Rig:
     """
     path = _find(str(name))
     return build_rig(path.stem, read_spec(path), seed, path.parent)
+
+
+def rig_digest(name: str | Path) -> str:
+    """Return the SHA-256 (hex) of what a rig's file says; see :class:`synthgen.scanner.rig.Rig`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such rig, or its file or its picture cannot be read.
+    """
+    path = _find(str(name))
+    return _digest(read_spec(path), path.parent)
+
+
+def _digest(spec: RigSpec, folder: Path) -> str:
+    """Hash every value that decides bytes, defaults and the user's slide included."""
+    content = spec.model_dump(mode="json", exclude={"summary", "own_choices"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    found = hashlib.sha256(text.encode())
+    if spec.projector.pattern.image:
+        found.update(picture_bytes(_slide_path(spec, folder)))
+    return found.hexdigest()
+
+
+def _slide_path(spec: RigSpec, folder: Path) -> str:
+    """Return where the user's slide lies; a relative name is beside the rig's file."""
+    image = spec.projector.pattern.image
+    return str((folder / Path(image).expanduser()).resolve()) if image else ""
 
 
 def read_spec(path: Path) -> RigSpec:
@@ -94,6 +127,8 @@ def build_rig(name: str, spec: RigSpec, seed: int, folder: Path = Path()) -> Rig
     """Build the scanner that a specification describes; ``folder`` is where pictures are."""
     nominal = {ident: _calibration(spec, place) for ident, place in spec.units.items()}
     error = CalibrationError(**spec.error.model_dump())
+    limit = max(error.epipolar_limit_px, TOLERATED_PX_PER_ROW * spec.reconstruction.rows)
+    error = replace(error, epipolar_limit_px=limit)
     true, rms, draws = _true(spec, list(nominal.values()), error, seed)
     units = tuple(
         Unit(ident, k, nominal[ident], true[k], place.slot)
@@ -121,6 +156,7 @@ def build_rig(name: str, spec: RigSpec, seed: int, folder: Path = Path()) -> Rig
         draws=draws,
         reconstruction=Reconstruction(**spec.reconstruction.model_dump()),
         own_choices=spec.own_choices,
+        digest=_digest(spec, folder),
     )
 
 
@@ -191,10 +227,18 @@ def _true(
         if max(rms) <= error.epipolar_limit_px:
             return true, rms, attempt + 1
         best = min(best, max(rms))
+    rows = int(np.ceil(best / TOLERATED_PX_PER_ROW)) + 1
     raise ConfigError(
         f"none of {MAX_DRAWS} calibration draws has an epipolar RMS within "
         f"error.epipolar_limit_px = {error.epipolar_limit_px:g} px in every unit; the best has "
-        f"{best:.2f} px: lower the sigmas under `error` or raise the limit"
+        f"{best:.2f} px, and rows that do not correspond cannot be matched: lower the sigmas "
+        "under `error`"
+        + (
+            f", or set `reconstruction.rows: {rows}` (matcher sgbm), so that points are looked "
+            "for over neighbouring rows"
+            if rows <= MAX_ROWS
+            else ""
+        )
     )
 
 
@@ -236,7 +280,7 @@ def _projector(
         TEXELS_PER_DOT,
         pattern.fill,
         _slide_seed(seed, k % pattern.slides),
-        str((folder / pattern.image).resolve()) if pattern.image else "",
+        _slide_path(spec, folder),
     )
     return Projector(
         ident=ident,

@@ -46,6 +46,9 @@ class MatchSettings:
         How often matching goes on from what was matched into what was not.
     agreement_px : float
         Largest difference of a disparity from what its neighbours predict.
+    rows : int
+        How many rows above and below points are looked for, where the calibration's rows may not
+        correspond; 0 trusts it.
     correct_curvature : bool
         Remove the bias of the affine shape function on curved surfaces.
     dic : DicSettings
@@ -59,6 +62,7 @@ class MatchSettings:
     correlation: float = 0.83
     sweeps: int = 4
     agreement_px: float = 0.3
+    rows: int = 0
     correct_curvature: bool = True
     dic: DicSettings = field(default_factory=DicSettings)
 

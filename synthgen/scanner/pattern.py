@@ -92,11 +92,16 @@ def _dots(pattern: Pattern, n: int, rng: np.random.Generator) -> Image:
     return image
 
 
-def _picture(path: str, n: int) -> Image:
+def picture_bytes(path: str) -> bytes:
+    """Read a user's slide; raises ConfigError where it cannot be read."""
     try:
-        data = np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)
+        return Path(path).read_bytes()
     except OSError as error:
         raise ConfigError(f"slide {path}: cannot be read ({error.strerror})") from None
+
+
+def _picture(path: str, n: int) -> Image:
+    data = np.frombuffer(picture_bytes(path), dtype=np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
     if image is None:
         raise ConfigError(f"slide {path} is no picture that OpenCV reads; use PNG or JPEG")

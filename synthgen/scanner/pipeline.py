@@ -23,24 +23,29 @@ from synthgen.scanner.noise import add_noise, load_noise
 from synthgen.scanner.provenance import measured_by, truth_of
 from synthgen.scanner.range_grid import RangeGrid, range_grid
 from synthgen.scanner.rectify import Rectified, rectify, rectify_images
+from synthgen.scanner.report import Report, picture_report, scan_report, unit_report
 from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
 from synthgen.scanner.rig import Rig, Unit, scaled
-from synthgen.scanner.settings import ScanSettings, settings_for
+from synthgen.scanner.rows import find_row_offset
+from synthgen.scanner.settings import ScanSettings, check_level, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
 from synthgen.scanner.tsdf import fuse
 from synthgen.scanner.white import expose_colour
 
 LEAST_MATCHED = 0.3
+_LOST = "every matched point looks like an edge; the surface is too small or too steep"
+_UNSEEN = "its two cameras together see nothing of the subject"
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What one unit gave: its part of the scan, its points, its colour picture."""
+    """What one unit gave: its part of the scan, its points, its colour picture, what it did."""
 
     unit: UnitScan
     grid: RangeGrid | None
     view: ColourView | None
+    report: Report
 
 
 def scan(
@@ -81,13 +86,19 @@ def scan(
     ------
     ScanError
         If the subject is outside the working volume or a camera inside a solid.
+    ShapeError
+        If what is given is no mesh of triangles, or ``rng`` no generator.
+    ConfigError
+        If there is no such level, or the samples per pixel are no square number.
     """
+    check_level(level)
     chosen = settings or settings_for(rig, level)
     scene = scene_of(mesh_or_scene)
     used = scaled(rig, 0.5) if level == "half" else rig
     stage = prepare(scene, used, rng=rng, effects=effects or Effects())
     parts = [measure(stage, unit, level, chosen) for unit in used.units]
-    return assemble(parts, scene, level, chosen)
+    report = scan_report(stage, {part.unit.ident: part.report for part in parts})
+    return replace(assemble(parts, scene, level, chosen), report=report)
 
 
 def assemble(
@@ -101,7 +112,7 @@ def assemble(
         field = fuse(grids, settings.fusion)
         vertices, faces = extract(field, settings.fusion.least_faces, settings.fill_voxels)
     except ScanError as error:
-        why = "; ".join(f"unit {u.ident}: {u.problem}" for u in units if u.problem)
+        why = "; ".join(u.problem for u in units if u.problem)
         return empty_scan(units, level, f"{error}. {why}" if why else str(error))
     normals = vertex_normals(vertices, faces)
     views = [part.view for part in parts if part.view is not None]
@@ -137,26 +148,26 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
     """Let one unit measure the scene; what goes wrong is told in the result's ``problem``."""
     pair = rectify(unit.nominal.left, unit.nominal.right)
     if level == "model":
-        pictures, grid, problem = None, _modelled(stage, unit, pair, settings), None
+        got = Matched(None, _modelled(stage, unit, pair, settings), None, {})
     else:
-        pictures, grid, problem = _matched(
-            stage.rig, pair, expose(stage, unit, spp=settings.spp), settings
-        )
-    true = None
+        got = _matched(stage.rig, pair, expose(stage, unit, spp=settings.spp), settings)
+    grid, problem, true = got.grid, got.problem, None
     if settings.true_disparity:
         true = ideal_disparity(stage, unit, pair, grid.step, time_s=unit_time(stage, unit))
-    left, right = (None, None) if pictures is None else pictures
-    done = UnitScan(unit.ident, pair, left, right, grid.disparity, grid.step, true, problem)
     view = None
     if settings.colour and unit.nominal.colour is not None:
         view = ColourView(unit.nominal.colour, expose_colour(stage, unit))
-    if not grid.matched.any():
-        return Measurement(done, None, view)
-    points = range_grid(pair, grid, settings.grid, stage.rig.glass)
-    if not points.known.any():
-        lost = "every matched point looks like an edge; the surface is too small or too steep"
-        return Measurement(replace(done, problem=problem or lost), None, view)
-    return Measurement(done, points, view)
+    points = None
+    if grid.matched.any():
+        points = range_grid(pair, grid, settings.grid, stage.rig.glass)
+        points = points if points.known.any() else None
+    if points is None and problem is None:
+        problem = f"unit {unit.ident}: {_LOST if grid.matched.any() else _UNSEEN}"
+    bounds = disparity_bounds(stage.rig, pair)
+    report = unit_report(stage, unit, grid, points, bounds, problem) | got.report
+    left, right = got.pictures or (None, None)
+    done = UnitScan(unit.ident, pair, left, right, grid.disparity, grid.step, true, problem)
+    return Measurement(done, points, view, report)
 
 
 def depth_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
@@ -173,33 +184,48 @@ def disparity_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
     return float(pair.disparity(far)), float(pair.disparity(near))
 
 
-def _matched(
-    rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings
-) -> tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], DisparityGrid, str | None]:
-    """Rectified pictures, disparities and what is wrong with them."""
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Rectified pictures (8 bits), disparities, what is wrong with them, what was done."""
+
+    pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None
+    grid: DisparityGrid
+    problem: str | None
+    report: Report
+
+
+def _matched(rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings) -> Matched:
+    """Rectify and match one exposure."""
     scale = 255 / rig.grey.full_scale
     raw = shot.left * np.float32(scale), shot.right * np.float32(scale)
     left, right = rectify_images(pair, raw)
     bounds, problem = disparity_bounds(rig, pair), shot.problem
     grid = _nothing(left.shape, settings.match.step)
+    textured, rows = None, None
     if problem is None:
         try:
             if rig.reconstruction.matcher == "census":
                 grid = match_census(left, right, bounds)
             else:
+                rows = find_row_offset(left, right, bounds, settings.match)
+                if rows is not None:
+                    left, right = rectify_images(pair, raw, rows.over(left.shape))
                 grid = match(left, right, bounds, settings.match)
-            problem = _doubt(rig, pair, left, grid, settings)
+            textured = lit(left, settings.match)[:: grid.step, :: grid.step]
+            problem = _doubt(rig, pair, textured, grid)
         except ScanError as error:
             problem = str(error)
+    if problem is not None and not problem.startswith("unit "):
+        problem = f"unit {shot.unit.ident}: {problem}"
     whole = [np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in (left, right)]
-    return (whole[0], whole[1]), grid, problem
+    report = picture_report(shot, rig, textured, rows)
+    return Matched((whole[0], whole[1]), grid, problem, report)
 
 
 def _doubt(
-    rig: Rig, pair: Rectified, left: NDArray[Any], grid: DisparityGrid, settings: ScanSettings
+    rig: Rig, pair: Rectified, textured: NDArray[np.bool_], grid: DisparityGrid
 ) -> str | None:
-    mask = lit(left, settings.match)[:: grid.step, :: grid.step]
-    share = float((grid.matched & mask).sum() / max(mask.sum(), 1))
+    share = float((grid.matched & textured).sum() / max(textured.sum(), 1))
     if share >= LEAST_MATCHED:
         return None
     near, far = depth_bounds(rig, pair)
@@ -208,7 +234,8 @@ def _doubt(
         f"only {100 * share:.0f} % of what is lit was matched within the working volume's "
         f"disparities {low:.0f}..{high:.0f} px (depth {near:.3f}..{far:.3f} m): the disparity "
         "range is too small for the subject (enlarge the rig's volume_m or move the subject), or "
-        "the pictures are blurred or their rows do not correspond"
+        "the pictures are blurred, or their rows do not correspond (`reconstruction.rows` of the "
+        "rig's file looks over neighbouring ones)"
     )
 
 

@@ -23,15 +23,6 @@ def check_placement(scene: ScanScene, rig: Rig) -> None:
     """
     if not scene.solids:
         raise ScanError(f"rig {rig.name}: the scene holds no solid; give at least one mesh")
-    half = np.array(rig.volume_m) / 2
-    if not any(_reaches(solid, half) for solid in scene.solids):
-        points = np.concatenate([solid.vertices for solid in scene.solids])
-        low, high = points.min(axis=0), points.max(axis=0)
-        raise ScanError(
-            f"rig {rig.name}: the working volume is {_box(-half, half)} m about the origin, the "
-            f"subject lies in {_box(low, high)} m: nothing to scan. Meshes are in metres, in the "
-            "rig's frame (y up); see `synthgen doctor rig`"
-        )
     for name, position in _devices(rig):
         for k, solid in enumerate(scene.solids):
             if _may_hold(solid, position) and winding_number(solid, position) > 0.5:
@@ -42,6 +33,15 @@ def check_placement(scene: ScanScene, rig: Rig) -> None:
         glass = rig.glass
         if glass and 0 <= glass.top_m - position[1] <= glass.thickness_m:
             raise ScanError(f"rig {rig.name}: {name} at {_point(position)} m is inside the glass")
+    half = np.array(rig.volume_m) / 2
+    if not any(_reaches(solid, half) for solid in scene.solids):
+        points = np.concatenate([solid.vertices for solid in scene.solids])
+        low, high = points.min(axis=0), points.max(axis=0)
+        raise ScanError(
+            f"rig {rig.name}: the working volume is {_box(-half, half)} m about the origin, the "
+            f"subject lies in {_box(low, high)} m: nothing to scan. Meshes are in metres, in the "
+            "rig's frame (y up); see `synthgen doctor rig`"
+        )
 
 
 def _reaches(solid: Solid, half: Array) -> bool:

@@ -123,11 +123,14 @@ def rectify(left: Camera, right: Camera, target: NDArray[Any] | None = None) -> 
 
 
 def rectify_images(
-    pair: Rectified, images: tuple[NDArray[Any], NDArray[Any]]
+    pair: Rectified,
+    images: tuple[NDArray[Any], NDArray[Any]],
+    lower: NDArray[Any] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Resample raw pictures (H, W) into the rectified views, float32, in the raw pictures' unit.
 
-    Lanczos over 8x8 pixels: OpenCV's cubic costs 0.01 mm, this 0.001 mm.
+    Lanczos over 8x8 pixels: OpenCV's cubic costs 0.01 mm, this 0.001 mm. The right view is read
+    ``lower`` (H, W) pixels further down, where that is given.
     """
     done = []
     for k, image in enumerate(images):
@@ -139,9 +142,22 @@ def rectify_images(
             )
         source = np.asarray(image, np.float32)
         maps = remap_tables(pair, k)
+        if k and lower is not None:
+            maps = _further_down(maps, lower)
         warped = cv2.remap(source, *maps, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
         done.append(np.clip(warped, 0, float(source.max(initial=0))).astype(np.float32))
     return done[0], done[1]
+
+
+def _further_down(
+    maps: tuple[NDArray[np.float32], NDArray[np.float32]], lower: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Read smooth tables (H, W) between their rows."""
+    height, width = lower.shape
+    x = np.tile(np.arange(width, dtype=np.float32), (height, 1))
+    y = (np.arange(height)[:, None] + lower).astype(np.float32)
+    a, b = (cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for m in maps)
+    return np.asarray(a, np.float32), np.asarray(b, np.float32)
 
 
 def remap_tables(pair: Rectified, side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -76,6 +76,9 @@ class Scan:
     level : {"full", "half", "model"}
     problem : str or None
         Why the scan is empty; None where it is not.
+    report : dict
+        JSON types: what every unit did and lost, and ``notes`` on what was not as asked; see
+        :func:`synthgen.scanner.report.scan_report`.
     """
 
     vertices: NDArray[np.float32]
@@ -89,6 +92,7 @@ class Scan:
     units: tuple[UnitScan, ...] = ()
     level: Level = "full"
     problem: str | None = field(default=None)
+    report: dict[str, Any] = field(default_factory=dict)
 
     def moved(self, transform: NDArray[Any]) -> Scan:
         """Return the scan after a rigid ``T_dst_from_src`` (4, 4), calibrations included."""

@@ -13,6 +13,7 @@ from typing import Literal
 
 from synthgen.errors import ConfigError, nearest
 from synthgen.geometry.cameras import Camera
+from synthgen.render.readout import Readout
 
 Vec3 = tuple[float, float, float]
 Role = Literal["left", "right", "colour"]
@@ -167,7 +168,15 @@ class Sensor:
     @property
     def full_scale(self) -> int:
         """Largest count."""
-        return int(2**self.bits - 1)
+        return self.readout.full_scale
+
+    @property
+    def readout(self) -> Readout:
+        """The part of it that turns light into counts, as every camera here does."""
+        return Readout(
+            self.full_well_e, self.shot_noise, self.read_noise_e, self.prnu, self.hot_share,
+            bits=self.bits, black_dn=self.black_dn,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -228,7 +237,8 @@ class CalibrationError:
     unit_rotation_rad, unit_translation_m : float
         Rigid pose of a whole unit about the centre of the volume.
     epipolar_limit_px : float
-        Draws with a larger epipolar RMS in some unit are refused and drawn again.
+        Draws with a larger epipolar RMS in some unit are refused and drawn again; where
+        reconstruction looks over neighbouring rows, at least half as many pixels as rows.
     """
 
     focal: float
@@ -253,12 +263,15 @@ class Reconstruction:
         DIC window and spacing of the points.
     voxel_m : float
         Edge of the fusion voxels.
+    rows : int
+        How many rows above and below points are looked for; 0 trusts the calibration's rows.
     """
 
     matcher: Literal["sgbm", "census"]
     window_px: int
     stride_px: int
     voxel_m: float
+    rows: int
 
 
 @dataclass(frozen=True)
@@ -294,6 +307,8 @@ class Rig:
     reconstruction : Reconstruction
     own_choices : tuple of str
         Keys of the file whose values the papers do not give.
+    digest : str
+        SHA-256 of what the file and its picture say, whatever the file is called.
     """
 
     name: str
@@ -314,6 +329,7 @@ class Rig:
     draws: int
     reconstruction: Reconstruction
     own_choices: tuple[str, ...]
+    digest: str
 
     def unit(self, ident: str) -> Unit:
         """Return a unit by its id; raises ConfigError with the nearest match."""

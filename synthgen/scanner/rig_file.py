@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from synthgen.config.sections import Section
 
+MAX_ROWS = 8
 _Length = Annotated[float, Field(gt=0.0, le=20.0)]
 _Offset = Annotated[float, Field(ge=-20.0, le=20.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -168,7 +169,8 @@ class ErrorSpec(Section):
     unit_rotation_rad: float = Field(default=0.0, ge=0.0, le=0.1)
     unit_translation_m: float = Field(default=0.0, ge=0.0, le=0.1)
     epipolar_limit_px: float = Field(default=0.4, gt=0.0, le=20.0)
-    """Draws with more than this in some unit are refused and drawn again."""
+    """Draws with more than this in some unit are refused and drawn again, since rows that do not
+    correspond cannot be matched; see ``reconstruction.rows``."""
 
 
 class GlassSpec(Section):
@@ -186,6 +188,17 @@ class ReconstructionSpec(Section):
     window_px: int = Field(default=13, ge=5, le=41)
     stride_px: int = Field(default=3, ge=1, le=8)
     voxel_m: float = Field(default=0.0008, gt=1e-5, le=0.1)
+
+    rows: int = Field(default=0, ge=0, le=MAX_ROWS)
+    """Rows above and below that points are looked for in, with the matcher sgbm: for calibrations
+    whose rows do not correspond. Draws up to half as many pixels of epipolar RMS are then taken.
+    0 trusts the calibration."""
+
+    @model_validator(mode="after")
+    def _rows_are_searched_by_sgbm(self) -> Self:
+        if self.rows and self.matcher != "sgbm":
+            raise ValueError("`rows` needs matcher: sgbm; a census matcher trusts its calibration")
+        return self
 
 
 class PlaceSpec(Section):

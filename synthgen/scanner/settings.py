@@ -67,17 +67,21 @@ def settings_for(rig: Rig, level: Level = "full", preset: Preset = "default") ->
     ConfigError
         If there is no such level or preset.
     """
-    if level not in ("full", "half", "model") or preset not in ("default", "best"):
-        raise ConfigError(
-            f"level {level!r}, preset {preset!r}; levels are full, half, model, presets default, "
-            "best"
-        )
+    check_level(level)
+    if preset not in ("default", "best"):
+        raise ConfigError(f"preset {preset!r}; presets are default and best")
     asked = rig.reconstruction
     window, step, voxel = asked.window_px, asked.stride_px, asked.voxel_m
     if level == "half":
         window, step = max(9, 2 * int(0.35 * window) + 1), max(1, round(2 * step / 3))
         voxel *= _HALF_VOXEL
-    match = MatchSettings(step=step, dic=DicSettings(window=window))
+    match = MatchSettings(step=step, rows=asked.rows, dic=DicSettings(window=window))
     if preset == "best":
-        match = replace(BEST, step=step)
+        match = replace(BEST, step=step, rows=asked.rows)
     return ScanSettings(match=match, fusion=FusionSettings(voxel_m=voxel))
+
+
+def check_level(level: str) -> None:
+    """Refuse what is no level; raises ConfigError."""
+    if level not in ("full", "half", "model"):
+        raise ConfigError(f"level {level!r}; levels are full, half, model")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.errors import ShapeError
 from synthgen.geometry.normals import face_cross, unit, vertex_normals
 from synthgen.render import backend
 from synthgen.scanner import light
@@ -196,7 +197,11 @@ def prepare(
     ------
     ScanError
         If the subject is outside the working volume, or a camera or projector inside a solid.
+    ShapeError
+        If ``rng`` is no generator.
     """
+    if not isinstance(rng, np.random.Generator):
+        raise ShapeError(f"rng = {rng!r}; give a generator: numpy.random.default_rng(0)")
     backend.activate()
     scene = scene_of(mesh_or_scene)
     check_placement(scene, rig)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.normals import vertex_normals
+from synthgen.geometry.transforms import apply
 
 Array = NDArray[np.float64]
 SolidKind = Literal["subject", "object", "stand"]
@@ -123,6 +124,22 @@ def scene_of(mesh_or_scene: Any) -> ScanScene:
     raise ShapeError(
         f"cannot scan a {type(mesh_or_scene).__name__}: give a trimesh.Trimesh in metres or a "
         "synthgen.scanner.ScanScene"
+    )
+
+
+def placed(scene: ScanScene, T: NDArray[Any]) -> ScanScene:
+    """Return the scene after a rigid ``T_dst_from_src`` (4, 4), velocities included."""
+    turn = T[:3, :3].T
+    return ScanScene(
+        tuple(
+            replace(
+                solid,
+                vertices=apply(T, solid.vertices),
+                normals=None if solid.normals is None else solid.normals @ turn,
+                velocity_m_s=None if solid.velocity_m_s is None else solid.velocity_m_s @ turn,
+            )
+            for solid in scene.solids
+        )
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import igl
 import numpy as np
 import pytest
 
+from synthgen.cli.show import show
 from synthgen.config import load_config
 from synthgen.corpus import open_corpus
 from synthgen.corpus.gallery import write_gallery
@@ -75,12 +77,28 @@ def test_smoke_gallery_shows_the_scan(made: Path, tmp_path: Path) -> None:
         assert f'alt="{name}"' in page
 
 
-def test_properties_made_again_the_bytes_are_the_same(made: Path, tmp_path: Path) -> None:
-    config = load_config("hand_scan", [*SETTINGS, "samples=1"])
-    generate(config, tmp_path / "again", progress=False)
-    for column in ("scan", "stereo"):
-        a, b = (path / column / "000000.tar" for path in (made, tmp_path / "again"))
-        assert a.read_bytes() == b.read_bytes(), column
+def test_properties_made_again_the_bytes_are_the_same(made: Path) -> None:
+    shown = show(made, sample=0, remake=True)
+    assert shown.code == 0
+    assert shown.payload["remake"] == {"same": True, "differing": []}
+    assert len(shown.payload["pictures"]) == 5
+    assert shown.payload["scan"]["rms_m"] < 0.001
+
+
+def test_properties_another_scanner_is_told(made: Path, tmp_path: Path) -> None:
+    """Remade with another scanner's seed, what it made differs, and nothing else."""
+    copy = shutil.copytree(made, tmp_path / "corpus")
+    text = (copy / "config.resolved.yaml").read_text()
+    assert text.count("level: full\n  seed: 0") == 1
+    (copy / "config.resolved.yaml").write_text(
+        text.replace("level: full\n  seed: 0", "level: full\n  seed: 1")
+    )
+    shown = show(copy, sample=0, remake=True)
+    assert shown.code == 1
+    differing = shown.payload["remake"]["differing"]
+    assert {name.split("/")[0] for name in differing} == {"scan", "stereo"}
+    suffixes = {name.split("_00.")[1] for name in differing}
+    assert suffixes >= {"scan.ply", "texture.jpg", "scan.json", "front.left.png", "right.true.npy"}
 
 
 def test_edge_an_empty_scan_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
