@@ -22,6 +22,7 @@ from synthgen.models.joints import SIDES
 from synthgen.models.model import HandSpace
 from synthgen.registration.body_surface import BodySurface
 from synthgen.registration.terms import GaussianPrior, MixturePrior, Term, shape_prior
+from synthgen.sampling.body_pose import a_pose
 
 Array = NDArray[np.float64]
 PCA, COMPONENTS = 6, 10
@@ -32,8 +33,6 @@ JOINT_SD_RAD = {
     "spine": 0.15, "neck": 0.25, "head": 0.25, "collar": 0.12, "shoulder": 0.6, "elbow": 0.7,
     "wrist": 0.3, "hip": 0.4, "knee": 0.5, "ankle": 0.2, "foot": 0.05, "jaw": 0.05, "toe": 0.1,
 }  # fmt: skip
-# Arms 49 degrees down from the T-pose of the template.
-A_POSE_RAD = {"left_shoulder": (0.0, 0.0, -0.85), "right_shoulder": (0.0, 0.0, 0.85)}
 # Joints that no scan determines: they stay at rest.
 STILL = ("left_eye", "right_eye")
 
@@ -46,6 +45,8 @@ class HandPriors:
     ----------
     mean : (45,), components : (45, 6)
         The reduced hand is ``mean + components z``.
+    more : (45, 12)
+        Twice as many components.
     mixture : MixturePrior
         Over the first six components.
     complement : MixturePrior
@@ -54,6 +55,7 @@ class HandPriors:
 
     mean: Array
     components: Array
+    more: Array
     mixture: MixturePrior
     complement: MixturePrior
 
@@ -110,8 +112,7 @@ class BodyPriors:
 def body_priors(surface: BodySurface) -> BodyPriors:
     """Return the priors of a body, made once per process."""
     start = np.zeros(surface.n)
-    for name, angles in A_POSE_RAD.items():
-        start[surface.joint(name)] = angles
+    start[surface.pose] = a_pose(surface.model).ravel()
     hands = {side: _hand_priors(surface, side) for side in SIDES}
     for side, hand in hands.items():
         start[surface.hands[side]] = hand.mean
@@ -144,7 +145,8 @@ def _hand_priors(surface: BodySurface, side: str) -> HandPriors:
     )
     beyond = to_coefficients[PCA:] / sd[PCA:, None]
     complement = MixturePrior(where, space.mean[None], beyond[None], np.zeros(1))
-    return HandPriors(space.mean, space.components[:PCA].T.copy(), mixture, complement)
+    few, more = (space.components[:n].T.copy() for n in (PCA, 2 * PCA))
+    return HandPriors(space.mean, few, more, mixture, complement)
 
 
 def known_hands(model: BodyModel, side: str) -> HandSpace:

@@ -12,20 +12,19 @@ from numpy.typing import NDArray
 
 from synthgen.models.joints import SIDES
 from synthgen.registration import body_schedule as schedule
-from synthgen.registration.body_prior import PCA, BodyPriors
+from synthgen.registration.body_hands import begun_afresh
+from synthgen.registration.body_prior import BodyPriors
 from synthgen.registration.body_schedule import (
     BodyStage,
     basis_of,
-    body_terms,
     hand_crops,
-    hand_vertices,
     logged,
     run_body_stage,
 )
 from synthgen.registration.body_start import starts
-from synthgen.registration.body_surface import BodyPlaced, BodySurface
-from synthgen.registration.scan import Scan, nearest
-from synthgen.registration.solver import Energy, Outcome, minimise
+from synthgen.registration.body_surface import BodySurface
+from synthgen.registration.scan import Scan
+from synthgen.registration.solver import Outcome
 from synthgen.registration.terms import Term
 
 Array = NDArray[np.float64]
@@ -92,60 +91,8 @@ class BodySearch:
         return outcome
 
     def restarted(self, x: Array, side: str) -> Array:
-        """Try the mixture's means for one hand; keep the best of the few that are refined."""
-        hand = _Hand(self, x, side)
-        if len(hand.crop) < FEW_POINTS:
-            return x
-        tried = []
-        for pose in self.priors.hands[side].typical:
-            other = x.copy()
-            other[self.surface.hands[side]] = pose
-            tried.append(other)
-        tried.sort(key=hand.cost)
-        ends = [hand.refined(y) for y in [x, *tried[:REFINED]]]
-        return min(ends, key=hand.cost)
+        """Begin one hand afresh; see :func:`synthgen.registration.body_hands.begun_afresh`."""
+        return begun_afresh(self.priors, self.scan, x, side)
 
     def _spent(self, what: str, began: float) -> None:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.process_time() - began
-
-
-class _Hand:
-    """The energy of one hand: points near it, its pose and its wrist; everything else stays."""
-
-    def __init__(self, search: BodySearch, x: Array, side: str) -> None:
-        self.search, surface = search, search.surface
-        self.vertices = hand_vertices(surface, side)
-        stage = schedule.HAND
-        self.crop = self._own_points(surface.at(x), side)[: stage.hand_points]
-        wrist = surface.joint(f"{side}_wrist")
-        self.basis = np.zeros((surface.n, 3 + PCA))
-        self.basis[wrist, :3] = np.eye(3)
-        self.basis[surface.hands[side], 3:] = search.priors.hands[side].components
-        priors = [*search.priors.pose_terms(), *search.priors.hand_terms((side,))]
-        self.energy = Energy(surface, body_terms(surface, search.scan, stage, priors, (self.crop,)))
-        self.weight = HAND_SHARE * stage.n_eff / stage.noise_m**2
-        self.s2 = stage.sigma_m**2
-        self.iterations = stage.iterations
-
-    def _own_points(self, placed: BodyPlaced, side: str) -> NDArray[np.int64]:
-        """Points of the crop that are nearer to the hand or its forearm than to other skin."""
-        surface, scan = self.search.surface, self.search.scan
-        crop = hand_crops(placed, scan, 0.08)[SIDES.index(side)]
-        joint = surface.model.joint_names.index(f"{side}_elbow")
-        own = surface.model.weights.argmax(axis=1) == joint
-        own[self.vertices] = True
-        _, near = nearest(placed.tree, scan.points[crop])
-        return np.asarray(crop[own[near]])
-
-    def cost(self, x: Array) -> float:
-        """Return the energy, and how far the hand's skin is from the scan."""
-        trial = self.energy.at(x)
-        distance, _ = nearest(self.search.scan.tree, trial.placed.vertices[self.vertices[::3]])
-        squared = distance**2
-        return trial.cost + self.weight * float(np.mean(self.s2 * squared / (self.s2 + squared)))
-
-    def refined(self, x: Array) -> Array:
-        """Lower the energy of hand and wrist."""
-        return minimise(
-            self.energy, x, iterations=self.iterations, basis=self.basis, damping=1e-3
-        ).x

@@ -53,7 +53,9 @@ class BodySurface(Surface):
         model = self.model
         self.expression = slice(self.n, self.n + model.n_expression)
         self.n += model.n_expression
-        self.hands = {side: self._hand(side) for side in SIDES}
+        self.hands = {
+            side: self._hand(side) for side in SIDES if f"{side}_index1" in model.joint_names
+        }
         packed = model.packed_double
         parts = [shape_directions(model)]
         if model.exprdirs is not None:
@@ -69,11 +71,10 @@ class BodySurface(Surface):
     def _hand(self, side: str) -> slice:
         names = self.model.joint_names
         wanted = tuple(f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
-        first = names.index(wanted[0]) if wanted[0] in names else 0
+        first = names.index(wanted[0])
         if names[first : first + 15] != wanted:
             raise ModelError(
-                f"model {self.model.name!r} has no {side} hand of 15 joints in MANO order; "
-                "the fitter takes bodies with fingers"
+                f"model {self.model.name!r}: its {side} hand's joints are not in MANO order"
             )
         at = self.pose.start + 3 * first
         return slice(at, at + 45)
