@@ -1,8 +1,4 @@
-"""Poses that teach and test the body's pose correctives, within authored ranges of motion.
-
-Ranges are degrees about the axes of the zero pose (x to the subject's left, y up, z forward), for
-the middle and the right side; left joints mirror them. They are our choice after the usual tables.
-"""
+"""Poses that teach and test the body's pose correctives, within authored ranges of motion."""
 
 from __future__ import annotations
 
@@ -10,45 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from synthgen.cc0.skeleton import TOES, Skeleton
-from synthgen.models.joints import swapped_side
+from synthgen.cc0.skeleton import Skeleton
+from synthgen.sampling.body_limits import body_range, swing_twist
 
 Array = NDArray[np.float64]
-Range = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-
-_RANGE: Mapping[str, Range] = {
-    "right_hip": ((-110, 25), (-35, 35), (-40, 20)),
-    "right_knee": ((0, 135), (-8, 8), (-4, 4)),
-    "right_ankle": ((-25, 45), (-15, 15), (-18, 18)),
-    "right_foot": ((-45, 25), (-5, 5), (-5, 5)),
-    "spine1": ((-12, 30), (-15, 15), (-12, 12)),
-    "spine2": ((-12, 25), (-15, 15), (-12, 12)),
-    "spine3": ((-12, 20), (-15, 15), (-12, 12)),
-    "neck": ((-25, 30), (-35, 35), (-20, 20)),
-    "head": ((-25, 25), (-35, 35), (-20, 20)),
-    "right_collar": ((-8, 8), (-15, 22), (-28, 12)),
-    "right_shoulder": ((-55, 55), (-35, 95), (-70, 80)),
-    "right_elbow": ((-8, 8), (0, 140), (-5, 5)),
-    "right_wrist": ((-80, 80), (-25, 25), (-65, 70)),
-    "jaw": ((-2, 26), (-7, 7), (-3, 3)),
-    "right_eye": ((-25, 25), (-32, 32), (0, 0)),
-    **{f"right_{toe}1": ((-45, 30), (-6, 6), (-4, 4)) for toe in TOES},
-    **{f"right_{toe}2": ((-12, 45), (-2, 2), (-2, 2)) for toe in TOES},
-}
 
 
 def pose_range(skeleton: Skeleton) -> Array:
     """Return (K, 3, 2) radians; zero for the root and for fingers, which have their own model."""
-    result = np.zeros((len(skeleton.names), 3, 2))
-    for k, name in enumerate(skeleton.names):
-        if name in _RANGE:
-            result[k] = np.deg2rad(_RANGE[name])
-        elif swapped_side(name) in _RANGE:
-            x, y, z = np.deg2rad(_RANGE[swapped_side(name)])
-            result[k] = [x, -y[::-1], -z[::-1]]
-    return result
+    return body_range(skeleton.names)
 
 
 def single_turns(skeleton: Skeleton) -> Array:
@@ -79,18 +46,7 @@ def mixed_turns(skeleton: Skeleton, n: int, *, rng: np.random.Generator) -> Arra
             near = np.deg2rad([0, 0, lift * sign]) + noise
             angles[which, shoulder] = np.clip(near, low[shoulder], high[shoulder])[which]
         angles[kind == 2, collar, 2] = np.deg2rad(rng.uniform(-28, -8, n))[kind == 2] * sign
-    return _swing_twist(skeleton, angles)
-
-
-def _swing_twist(skeleton: Skeleton, angles: Array) -> Array:
-    """Compose rotations: twist about the limb (arms x, all others y), then swing about the rest."""
-    twist = np.zeros_like(angles)
-    for k, name in enumerate(skeleton.names):
-        axis = 0 if name.endswith(("shoulder", "elbow", "wrist", "collar")) else 1
-        twist[:, k, axis] = angles[:, k, axis]
-    swing = angles - twist
-    flat = [Rotation.from_rotvec(a.reshape(-1, 3)) for a in (swing, twist)]
-    return np.asarray((flat[0] * flat[1]).as_rotvec().reshape(angles.shape))
+    return swing_twist(skeleton.names, angles)
 
 
 # Degrees per joint of poses that everybody knows; used to test and to look at.
@@ -135,4 +91,4 @@ def known_poses(skeleton: Skeleton) -> tuple[tuple[str, ...], Array]:
     for row, joints in zip(poses, _KNOWN.values(), strict=True):
         for name, degrees in joints.items():
             row[skeleton.index(name)] = np.deg2rad(degrees)
-    return tuple(_KNOWN), _swing_twist(skeleton, poses)
+    return tuple(_KNOWN), swing_twist(skeleton.names, poses)

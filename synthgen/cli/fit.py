@@ -13,7 +13,7 @@ from synthgen.cli.output import DONE, FAILED, Result
 from synthgen.errors import ConfigError
 
 if TYPE_CHECKING:
-    from synthgen.registration.fit import Fit
+    from synthgen.registration.fitted import Fit
     from synthgen.registration.reading import StoredScan
 
 Scans = Annotated[
@@ -68,7 +68,7 @@ def fit(
         lines.append(_line(path, scan, found))
         if sequence and found.verdict != "fail":
             begin = (found.shape, found.pose, found.translation)
-            hand, hand_model = found.hand, found.model
+            hand, hand_model = found.hand or hand, found.model
     good = all(report["verdict"] != "fail" for report in reports)
     payload = {"out": str(out), "fits": reports}
     return Result(payload, [*lines, f"results in {out}"], DONE if good else FAILED)

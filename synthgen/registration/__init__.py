@@ -1,6 +1,7 @@
-"""Registration: fitting a hand model to scans, and knowing whether the fit can be trusted."""
+"""Registration: fitting hands and bodies to scans, and knowing whether a fit can be trusted."""
 
-from synthgen.registration.fit import Fit, fit, fit_many
+from synthgen.registration.fit import fit, fit_many
+from synthgen.registration.fitted import Fit
 from synthgen.registration.verdict import REASONS
 
 __all__ = ["REASONS", "Fit", "fit", "fit_many"]

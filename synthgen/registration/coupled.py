@@ -19,7 +19,7 @@ from scipy.sparse import linalg
 
 from synthgen.geometry.normals import face_cross, unit
 from synthgen.registration.scan import Scan
-from synthgen.registration.surface import Placed, Surface
+from synthgen.registration.surface import Found, Placed, Surface
 from synthgen.registration.terms import GemanMcClure, Pairs, Term, closest
 
 Array = NDArray[np.float64]
@@ -129,6 +129,9 @@ class _Free:
     def __init__(self, surface: Surface, vertices: Array) -> None:
         self.surface, self.vertices = surface, vertices
         self.normals = unit(surface._incidence @ face_cross(vertices, surface.faces))
+
+    def nearest(self, points: Array, neighbours: int = 1) -> Found:
+        return self.surface.nearest(self.vertices, points, neighbours)
 
 
 def _match(surface: Surface, free: Array, scan: Scan, settings: CoupledSettings) -> Pairs:

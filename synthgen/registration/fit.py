@@ -1,11 +1,11 @@
-"""Fitting a hand model to a scan: the public entry."""
+"""Fitting a hand or body model to a scan: the public entry."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
+from synthgen.registration.body_fit import fit_body
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
+from synthgen.registration.fitted import Fit, Side
 from synthgen.registration.initialiser import Initialiser, initialiser_of
 from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
@@ -25,56 +27,17 @@ from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
-from synthgen.registration.verdict import Judgement, Verdict
+from synthgen.registration.verdict import Judgement
 from synthgen.sampling.limits import limits_of
 
 Array = NDArray[np.float64]
-Side = Literal["left", "right"]
-Start = str | tuple[Any, Any, Any]
+Start = str | tuple[Any, ...]
 TURNS = 4
 # A failed fit that explains this much has the right basin: the table has nothing to add.
 RIGHT_BASIN = 0.97
 _FLIP = np.array([-1.0, 1.0, 1.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A registered hand.
-
-    Attributes
-    ----------
-    shape : (nb,), pose : (K, 3) axis-angle, translation : (3,) metres
-        Of ``model``; world frame of the points.
-    expression : None
-        Hands have none.
-    hand : "left" or "right"
-    vertices : (V, 3), joints : (K, 3), metres
-    verdict : "pass", "unobserved" or "fail"
-    reason : str
-        "" for pass, else from ``verdict.REASONS``, with parts: ``hole(ring)``.
-    report : dict
-        JSON types: statistics, stages, times, candidates.
-    model : BodyModel
-        The side that the parameters belong to.
-    vertex_sd_m : (V,)
-        Predicted standard deviation of each vertex; empty where nothing was finished.
-    free_vertices : (V, 3) or None
-        The mesh of the coupled stage, where asked for and the fit was not a fail.
-    """
-
-    shape: Array
-    pose: Array
-    translation: Array
-    hand: Side
-    vertices: Array
-    joints: Array
-    verdict: Verdict
-    reason: str
-    report: dict[str, Any]
-    model: BodyModel
-    expression: None = None
-    vertex_sd_m: Array = field(default_factory=lambda: np.zeros(0))
-    free_vertices: Array | None = None
+# What bodies take of the options that only hands have.
+_OFF = {"hand": (None, "auto"), "preset": ("fast",), "components": (None,), "curved": (0.0,)}
 
 
 def fit(
@@ -93,16 +56,18 @@ def fit(
     curved: float = 0.0,
     seed: int = 0,
 ) -> Fit:
-    """Fit a hand model to points; a scan that cannot be fitted is a fail with its reason.
+    """Fit a hand or body model to points; a scan that cannot be fitted is a fail with its reason.
 
     Parameters
     ----------
     points, normals : (N, 3) float
         Metres; outward, or None: estimated.
     model : BodyModel
-        A hand in MANO form, of either side.
+        A hand in MANO form, of either side, or a body in SMPL+H or SUPR form.
     start : "cold" or (shape, pose, translation)
-        Given: the rotation is trusted to about 20 degrees, pose and shape are one hypothesis.
+        Given: the rotation is trusted to about 20 degrees, pose and shape are one hypothesis (a
+        SUPR body's may end with its expression). Cold bodies stand upright (y up) in something
+        like an A-pose, turned any way about the vertical; cold hands may have any rotation.
     hand : "left", "right", "auto" or None
         None is auto: by fitting the scan and its mirror image. A wrong side is ``other_hand``.
     preset : "fast", "accurate" or "paper"
@@ -111,7 +76,7 @@ def fit(
     viewpoints : (C, 3) float or None
         Where the sensors stood: what they could not see is not missed; orients estimated normals.
     components : int or None
-        Keep the fingers within that many principal components of the model (6-45).
+        Keep the fingers within that many principal components (6-45); hand models only.
     keypoints : ((m,) joint numbers, (m, 3) metres) or None
         Known joints.
     pose_prior : ((K, 3) axis-angle of the fitted side, sd_rad) or None
@@ -126,11 +91,21 @@ def fit(
     ShapeError, ModelError
         If arguments do not belong together (not for bad scans).
     """
+    if isinstance(model, BodyModel) and model.hand is None:
+        _only_hands(hand=hand, preset=preset, components=components, curved=curved)
+        known = {"keypoints": keypoints, "pose_prior": pose_prior, "viewpoints": viewpoints}
+        with threadpool_limits(limits=1, user_api="blas"):
+            return fit_body(points, normals, model, start, coupled=coupled, seed=seed, **known)
     request = _Request(_right(model), preset, coupled, components, keypoints, pose_prior, curved)
-    sides = _sides(hand)
-    begin = _start(request, start)
+    sides, begin = _sides(hand), _start(request, start)
     with threadpool_limits(limits=1, user_api="blas"):
         return _checked(request, points, normals, begin, sides, viewpoints, seed)
+
+
+def _only_hands(**given: Any) -> None:
+    for name, value in given.items():
+        if value not in _OFF[name]:
+            raise ShapeError(f"{name}={value!r} is for hand models; leave it out for a body")
 
 
 def _checked(
@@ -193,7 +168,7 @@ class _Request:
 def _right(model: BodyModel) -> ManoModel:
     if not isinstance(model, ManoModel):
         name = getattr(model, "name", model)
-        raise ModelError(f"model {name!r} is no hand in MANO form; fit takes hands")
+        raise ModelError(f"model {name!r} is no hand in MANO form and no body; fit takes these")
     return mirror_model(model) if model.hand == "left" else model
 
 
@@ -213,7 +188,7 @@ def _start(request: _Request, start: Start) -> Array | None:
         if start != "cold":
             raise ShapeError(f"start={start!r}; expected 'cold' or (shape, pose, translation)")
         return None
-    shape, pose, translation = (np.asarray(part, dtype=np.float64) for part in start)
+    shape, pose, translation = (np.asarray(part, dtype=np.float64) for part in start[:3])
     n = len(request.model.parents)
     if pose.size != 3 * n or translation.size != 3 or shape.ndim != 1:
         raise ShapeError(

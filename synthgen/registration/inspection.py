@@ -1,4 +1,4 @@
-"""Looking at a scan before fitting: it must be one hand, in metres, with outward normals."""
+"""Looking at a scan before fitting: one hand or body, in metres, with outward normals."""
 
 from __future__ import annotations
 
@@ -15,13 +15,45 @@ from synthgen.registration.scan import Scan, bulge
 
 Array = NDArray[np.float64]
 LEAST_POINTS = 200
-# Largest extent of a hand with a piece of forearm, metres: a child's fist to a long spread hand.
-SMALLEST_M, LARGEST_M = 0.055, 0.40
-# A bare hand; used to recognise units.
-USUAL_M = (0.075, 0.27)
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
-LINK_M, TWO_HANDS_M = 0.025, 0.27
 INWARD = -0.15
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a scan should show; lengths in metres.
+
+    Attributes
+    ----------
+    noun, plural : str
+    range_m : (float, float)
+        Smallest and largest extent.
+    usual_m : (float, float)
+        The same for recognising units.
+    link_m : float
+        Points nearer than this belong to one piece.
+    apart_m : float
+        Middles of two pieces that are two subjects are farther apart.
+    two_m : float
+        Two subjects are together longer than this.
+    wide_m : float
+        Neighbourhood in which the surface bulges.
+    """
+
+    noun: str
+    plural: str
+    range_m: tuple[float, float]
+    usual_m: tuple[float, float]
+    link_m: float
+    apart_m: float
+    two_m: float
+    wide_m: float
+
+
+# With a piece of forearm: a child's fist to a long spread hand; units are known by a bare hand.
+HAND = Expected("hand", "hands", (0.055, 0.40), (0.075, 0.27), 0.025, 0.08, 0.27, 0.015)
+# A toddler to a tall man with his arms up.
+BODY = Expected("body", "bodies", (0.60, 2.7), (0.75, 2.4), 0.12, 0.25, 0.0, 0.08)
 
 
 @dataclass(frozen=True)
@@ -42,50 +74,57 @@ def extent(points: Array) -> float:
     return float((high - low).max())
 
 
-def units_of(points: Array) -> tuple[str, ...]:
-    """Return the units in which the points would have the extent of a bare hand."""
+def units_of(points: Array, expected: Expected = HAND) -> tuple[str, ...]:
+    """Return the units in which the points would have the extent of what is expected."""
     size = extent(points)
-    return tuple(u for u, m in UNITS.items() if USUAL_M[0] <= size * m <= USUAL_M[1])
+    low, high = expected.usual_m
+    return tuple(u for u, m in UNITS.items() if low <= size * m <= high)
 
 
-def inspect(scan: Scan, *, check_normals: bool) -> Finding | None:
+def inspect(scan: Scan, *, check_normals: bool, expected: Expected = HAND) -> Finding | None:
     """Return what is wrong with a scan, or None."""
     if len(scan.points) < LEAST_POINTS:
         return Finding(
             "no_points", f"{len(scan.points)} finite points; at least {LEAST_POINTS} are needed"
         )
     size = extent(scan.points)
-    if not SMALLEST_M <= size <= LARGEST_M:
-        return _wrong_size(scan.points, size)
-    if check_normals and bulge(scan.points, scan.normals) < INWARD:
-        return Finding("flipped_normals", "normals point into the hand; pass -normals")
-    return _pieces(scan.points)
+    if not expected.range_m[0] <= size <= expected.range_m[1]:
+        return _wrong_size(scan.points, size, expected)
+    if check_normals and bulge(scan.points, scan.normals, wide_m=expected.wide_m) < INWARD:
+        return Finding("flipped_normals", f"normals point into the {expected.noun}; pass -normals")
+    return _pieces(scan.points, expected)
 
 
-def _wrong_size(points: Array, size: float) -> Finding:
-    found = [u for u in units_of(points) if u != "m"]
+def _wrong_size(points: Array, size: float, expected: Expected) -> Finding:
+    noun, (smallest, largest) = expected.noun, expected.range_m
+    found = [u for u in units_of(points, expected) if u != "m"]
     if found:
         factor = UNITS[found[0]]
         return Finding(
             "scale",
-            f"the scan is {size:.3g} m across; in {' or '.join(found)} it would be a hand: "
+            f"the scan is {size:.3g} m across; in {' or '.join(found)} it would be a {noun}: "
             f"multiply the points by {factor:g}",
         )
-    piece = _pieces(points)
+    piece = _pieces(points, expected)
     if piece is not None:
         return piece
-    if size > LARGEST_M:
-        return Finding("background", f"the scan is {size:.2f} m across; cut out the hand")
-    return Finding("scale", f"the scan is {size:.3g} m across; a hand has {SMALLEST_M}-{LARGEST_M}")
+    if size > largest:
+        return Finding("background", f"the scan is {size:.2f} m across; cut out the {noun}")
+    hint = ""
+    if expected is BODY and HAND.range_m[0] <= size <= HAND.range_m[1]:
+        hint = "; for a hand's scan take a hand model, such as cc0-hand"
+    return Finding(
+        "scale", f"the scan is {size:.3g} m across; a {noun} has {smallest}-{largest}{hint}"
+    )
 
 
-def _pieces(points: Array) -> Finding | None:
-    """Two hand-sized pieces are two hands, unless they are views of one with a gap."""
+def _pieces(points: Array, expected: Expected) -> Finding | None:
+    """Two pieces of full size are two subjects, unless they are views of one with a gap."""
     some = points[:3000]
     tree = cKDTree(some)
     apart_m: Any = tree.query(some, k=2)[0]
     spacing = np.quantile(apart_m[:, 1], 0.9)
-    link = max(LINK_M, 4 * float(spacing))
+    link = max(expected.link_m, 4 * float(spacing))
     pairs = tree.query_pairs(link, output_type="ndarray")
     n = len(some)
     graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), (n, n))
@@ -93,11 +132,14 @@ def _pieces(points: Array) -> Finding | None:
     count = np.bincount(label)
     large = [k for k in np.argsort(-count)[:4] if count[k] > 0.15 * n]
     sizes = [extent(some[label == k]) for k in large]
-    hands = [s for s in sizes if SMALLEST_M < s < LARGEST_M]
+    smallest, largest = expected.range_m
+    whole = [s for s in sizes if smallest < s < largest]
     apart = [np.linalg.norm(some[label == k].mean(axis=0) - some[label == large[0]].mean(axis=0))
              for k in large[1:]]  # fmt: skip
-    if len(hands) >= 2 and max(apart) > 0.08 and extent(some) > TWO_HANDS_M:
-        return Finding("two_hands", f"{len(hands)} hand-sized pieces; fit them one at a time")
-    if sizes and max(sizes) > LARGEST_M:
-        return Finding("background", f"one piece is {max(sizes):.2f} m across; cut out the hand")
+    if len(whole) >= 2 and max(apart) > expected.apart_m and extent(some) > expected.two_m:
+        message = f"{len(whole)} {expected.noun}-sized pieces; fit them one at a time"
+        return Finding(f"two_{expected.plural}", message)
+    if sizes and max(sizes) > largest:
+        noun = expected.noun
+        return Finding("background", f"one piece is {max(sizes):.2f} m across; cut out the {noun}")
     return None

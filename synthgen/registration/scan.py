@@ -32,16 +32,19 @@ class Scan:
     normals : (N, 3) float64, unit, outward
     viewpoints : (C, 3) or None
         Where the sensors stood, metres.
+    tree_points : int
+        Points in the search tree.
     """
 
     points: Array
     normals: Array
     viewpoints: Array | None = None
+    tree_points: int = TREE_POINTS
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Search tree over the first ``TREE_POINTS`` points, made once."""
-        return cKDTree(self.points[:TREE_POINTS])
+        """Search tree over the first ``tree_points`` points, made once."""
+        return cKDTree(self.points[: self.tree_points])
 
     @cached_property
     def centre(self) -> Array:
@@ -105,20 +108,31 @@ def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]
     return p[good], n[good] / length[good, None], int((~good).sum())
 
 
-def scan_of(points: Array, normals: Array | None, viewpoints: Any = None, *, seed: int = 0) -> Scan:
+def scan_of(
+    points: Array,
+    normals: Array | None,
+    viewpoints: Any = None,
+    *,
+    seed: int = 0,
+    wide_m: float = WIDE_M,
+    tree_points: int = TREE_POINTS,
+) -> Scan:
     """Shuffle points and complete normals; see :func:`estimate_normals`."""
     order = stream(seed, "corpus", 0, 0, "scan order").permutation(len(points))
     eyes = None if viewpoints is None else np.atleast_2d(np.asarray(viewpoints, dtype=np.float64))
     p = points[order]
-    n = estimate_normals(p, eyes) if normals is None else normals[order]
-    return Scan(p, n, eyes)
+    n = estimate_normals(p, eyes, wide_m) if normals is None else normals[order]
+    return Scan(p, n, eyes, tree_points)
 
 
-def estimate_normals(points: Array, viewpoints: Array | None = None) -> Array:
+def estimate_normals(
+    points: Array, viewpoints: Array | None = None, wide_m: float = WIDE_M
+) -> Array:
     """Estimate normals (N, 3) from the planes of neighbouring points.
 
     Signs: towards the nearest sensor where viewpoints (C, 3) are known; else consistent along a
-    spanning tree of neighbours (Hoppe 1992) and outward as a whole, since hands bulge.
+    spanning tree of neighbours (Hoppe 1992) and outward as a whole, since hands and bodies bulge
+    within ``wide_m``.
     """
     k = min(NEIGHBOURS, len(points))
     found: Any = cKDTree(points).query(points, k=k)
@@ -129,7 +143,7 @@ def estimate_normals(points: Array, viewpoints: Array | None = None) -> Array:
         eye = viewpoints[nearest(cKDTree(viewpoints), points)[1]]
         return normals * np.where(np.sum(normals * (eye - points), axis=1) < 0, -1, 1)[:, None]
     normals = _consistent(normals, near)
-    return normals if bulge(points, normals) >= 0 else -normals
+    return normals if bulge(points, normals, wide_m=wide_m) >= 0 else -normals
 
 
 def _consistent(normals: Array, near: NDArray[np.int64]) -> Array:
@@ -154,15 +168,16 @@ def _consistent(normals: Array, near: NDArray[np.int64]) -> Array:
     return normals * signs[:, None]
 
 
-def bulge(points: Array, normals: Array, most: int = 250) -> float:
+def bulge(points: Array, normals: Array, most: int = 250, wide_m: float = WIDE_M) -> float:
     """Return how much normals point out of the bulging shape, -1 .. 1; hands have about 0.5.
 
-    Mean cosine between a point's normal and its offset from the mean of the points within 15 mm.
+    Mean cosine between a point's normal and its offset from the mean of the points within
+    ``wide_m``.
     """
     some = points[:most]
     offsets = np.array(
         [p - points[ids].mean(axis=0)
-         for p, ids in zip(some, cKDTree(points[:4000]).query_ball_point(some, WIDE_M), strict=True)
+         for p, ids in zip(some, cKDTree(points[:4000]).query_ball_point(some, wide_m), strict=True)
          ]
     )  # fmt: skip
     return float(np.mean(np.sum(unit(offsets) * normals[:most], axis=1)))

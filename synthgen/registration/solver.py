@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
 from synthgen.registration.terms import Term
 
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
 MAX_TURN_RAD, MAX_TRIALS = 0.5, 4
 SMALL_DROP, SMALL_DROPS = 1e-4, 2
+# A point of a body moves with few of its parameters: from this many on rows are mostly zeros.
+SPARSE_FROM = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +54,15 @@ class Energy:
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
             for block in term.blocks(trial.placed, match):
+                if n >= SPARSE_FROM:
+                    normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
+                    continue
                 root = np.sqrt(block.weight)
                 rows = block.rows * root[:, None]
                 hessian += rows.T @ rows
                 gradient += rows.T @ (root * block.residual)
+        if n >= SPARSE_FROM:
+            hessian += np.tril(hessian, -1).T
         return hessian, gradient
 
 

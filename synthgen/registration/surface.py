@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from synthgen.models.jacobian import Jacobian
 
 Array = NDArray[np.float64]
+Found = tuple[Array, NDArray[np.int64], Array]
 
 
 class Surface:
@@ -40,11 +41,7 @@ class Surface:
     """
 
     def __init__(self, model: BodyModel) -> None:
-        if model.family not in ("mano", "smplh") or model.axis_meta is not None:
-            raise ModelError(
-                f"model {model.name!r} is of family {model.family!r}; the fitter takes mano and "
-                "smplh models in axis-angle"
-            )
+        self._check(model)
         self.model = model
         self.faces = np.ascontiguousarray(model.faces, dtype=np.int64)
         self.n_vertices, self.n_joints = model.weights.shape
@@ -57,11 +54,23 @@ class Surface:
         self.rim = np.zeros(self.n_vertices, dtype=bool)
         self.rim[np.unique(boundary_edges(self.faces))] = True
         self.rim_face = self.rim[self.faces].any(axis=1)
+        self._incidence = incidence(self.faces, self.n_vertices)
+        self._prepare()
+
+    def _check(self, model: BodyModel) -> None:
+        if model.family not in ("mano", "smplh") or model.axis_meta is not None:
+            raise ModelError(
+                f"model {model.name!r} is of family {model.family!r}; the fitter takes mano, smplh "
+                "and supr models in axis-angle"
+            )
+
+    def _prepare(self) -> None:
+        """Lay out what placing and differentiating need."""
+        model, k = self.model, self.n_joints
         self._joint_basis = fold_joints(model).reshape(1 + model.n_shape, -1)
         self._ids, self._weights = largest_weights(model.weights)
         self._posedirs = np.ascontiguousarray(model.posedirs[..., : 9 * (k - 1)])
         self._shapedirs = np.ascontiguousarray(model.shapedirs)
-        self._incidence = incidence(self.faces, self.n_vertices)
 
     def pack(self, shape: Array, pose: Array, translation: Array) -> Array:
         """Return the vector of shape (nb,), pose (K, 3), translation (3,); few betas are filled."""
@@ -78,11 +87,26 @@ class Surface:
         """Place the skin."""
         return Placed(self, x)
 
+    def nearest(self, vertices: Array, points: Array, neighbours: int = 1) -> Found:
+        """Closest points on a mesh of this surface's triangles (libigl).
+
+        Returns squared distances (m,), faces (m,) and points (m, 3); ``neighbours`` is for bodies,
+        whose search is not exact.
+        """
+        import igl
+
+        found = igl.point_mesh_squared_distance(points, vertices, self.faces)
+        return found[0], found[1], np.ascontiguousarray(found[2])
+
 
 @lru_cache(maxsize=8)
 def surface_of(model: BodyModel) -> Surface:
     """Return the surface of a model, made once per process."""
-    return Surface(model)
+    if model.hand is not None:
+        return Surface(model)
+    from synthgen.registration.body_surface import BodySurface
+
+    return BodySurface(model)
 
 
 class Placed:
@@ -133,6 +157,18 @@ class Placed:
         """Derivatives (K, 3, n) of the joints."""
         return self._slopes.joint_values
 
+    def rows(self, triangle: NDArray[np.int64], barycentric: Array, direction: Array) -> Array:
+        """Differentiate points on triangles (m, 3) along directions (m, 3): (m, n)."""
+        return np.asarray(_rows(self.jacobian, triangle, barycentric, direction))
+
+    def vertex_rows(self, vertices: NDArray[np.int64], direction: Array) -> Array:
+        """Differentiate vertices (m,) along directions (m, 3): (m, n)."""
+        return np.asarray(np.einsum("va,van->vn", direction, self.jacobian[vertices]))
+
+    def nearest(self, points: Array, neighbours: int = 1) -> Found:
+        """Closest points on the mesh; see :meth:`Surface.nearest`."""
+        return self.surface.nearest(self.vertices, points, neighbours)
+
 
 def left_jacobian(theta: Array) -> Array:
     """Left Jacobian (K, 3, 3) of SO(3): exp(theta + d) = exp(J d) exp(theta) to first order."""
@@ -159,3 +195,16 @@ def _skin(rest: Any, frames: Any, shift: Any, ids: Any, weights: Any, out: Any) 
                     f[a, 0] * rest[v, 0] + f[a, 1] * rest[v, 1] + f[a, 2] * rest[v, 2] + shift[k, a]
                 )
             out[v, a] = total
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _rows(jacobian: Any, triangle: Any, barycentric: Any, direction: Any) -> Any:
+    """Differentiate points on triangles along directions: (m, n)."""
+    out = np.zeros((len(triangle), jacobian.shape[2]))
+    for i in range(len(triangle)):
+        for corner in range(3):
+            v, b = triangle[i, corner], barycentric[i, corner]
+            x, y, z = b * direction[i, 0], b * direction[i, 1], b * direction[i, 2]
+            for p in range(jacobian.shape[2]):
+                out[i, p] += x * jacobian[v, 0, p] + y * jacobian[v, 1, p] + z * jacobian[v, 2, p]
+    return out

@@ -19,6 +19,7 @@ from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
 Array = NDArray[np.float64]
+Where = slice | NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +92,21 @@ def closest(
     cut_m: float,
     cosine: float,
     curved: float = 0.0,
+    neighbours: int = 1,
 ) -> Pairs:
-    """Closest points on the mesh (libigl), with interpolated (Phong) normals.
+    """Closest points on the mesh, with interpolated (Phong) normals.
 
     ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
     0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
     skin is.
     """
-    import igl
-
     s = placed.surface
-    squared, face, point = igl.point_mesh_squared_distance(points, placed.vertices, s.faces)[:3]
+    squared, face, point = placed.nearest(points, neighbours)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
     rim = np.empty(len(points), dtype=np.bool_)
-    _attributes(placed.vertices, placed.normals, triangle, np.ascontiguousarray(point), normals,
+    _attributes(placed.vertices, placed.normals, triangle, point, normals,
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
     return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
@@ -131,6 +131,8 @@ class ScanToMesh:
         Share of the point-to-point distance added, which ties down sliding far from the optimum.
     curved : float
         See :func:`closest`.
+    tied : int or None
+        Points that carry the tangential part, for all; None: each its own.
     """
 
     points: Array
@@ -141,6 +143,7 @@ class ScanToMesh:
     cosine: float
     tangential: float = 0.0
     curved: float = 0.0
+    tied: int | None = None
 
     def match(self, placed: Placed) -> Pairs:
         """Find closest points."""
@@ -166,12 +169,14 @@ class ScanToMesh:
         offset = np.einsum("mk,mka->ma", b, corner) + match.shift[used] - self.points[used]
         blocks = [
             Block(np.sum(offset * match.normal[used], axis=1),
-                  _rows(placed.jacobian, t, b, match.normal[used]), w)
+                  placed.rows(t, b, match.normal[used]), w)
         ]  # fmt: skip
+        some = slice(0, self.tied)
+        t, b, share = t[some], b[some], len(used) / max(len(t[some]), 1)
         for axis in range(3 if self.tangential > 0 else 0):
-            along = np.tile(np.eye(3)[axis], (len(used), 1))
-            rows = _rows(placed.jacobian, t, b, along)
-            blocks.append(Block(offset[:, axis], rows, self.tangential * w))
+            along = np.tile(np.eye(3)[axis], (len(t), 1))
+            rows = placed.rows(t, b, along)
+            blocks.append(Block(offset[some, axis], rows, self.tangential * share * w[some]))
         return blocks
 
 
@@ -180,7 +185,8 @@ class MeshToScan:
     """Distance of visible mesh vertices from the scan (Eq. 15), along the scan's normals.
 
     ``visible`` (V,) says which vertices the sensors could see, where that is known; rim vertices
-    and vertices over holes (farther than ``cut_m``) are left out at the plateau.
+    and vertices over holes (farther than ``cut_m``) are left out at the plateau. ``some`` (m,) are
+    the vertices looked at (bodies), None: all.
     """
 
     scan: Scan
@@ -189,14 +195,16 @@ class MeshToScan:
     cut_m: float
     cosine: float
     visible: NDArray[np.bool_] | None = None
+    some: NDArray[np.int64] | None = None
 
     def match(self, placed: Placed) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
         """Nearest scan points, squared distances, and which pairs count."""
-        distance, near = nearest(self.scan.tree, placed.vertices)
-        facing = np.sum(placed.normals * self.scan.normals[near], axis=1)
-        kept = (distance < self.cut_m) & (facing > self.cosine) & ~placed.surface.rim
+        own = slice(None) if self.some is None else self.some
+        distance, near = nearest(self.scan.tree, placed.vertices[own])
+        facing = np.sum(placed.normals[own] * self.scan.normals[near], axis=1)
+        kept = (distance < self.cut_m) & (facing > self.cosine) & ~placed.surface.rim[own]
         if self.visible is not None:
-            kept &= self.visible
+            kept &= self.visible[own]
         return near, distance**2, kept
 
     def cost(self, placed: Placed, match: Any) -> float:
@@ -209,11 +217,12 @@ class MeshToScan:
         w = self.weight / len(squared) * self.rho.weight(squared, kept)
         used = np.flatnonzero(w)
         normal = self.scan.normals[near[used]]
-        residual = np.sum((placed.vertices[used] - self.scan.points[near[used]]) * normal, axis=1)
-        return [Block(residual, np.einsum("va,van->vn", normal, placed.jacobian[used]), w[used])]
+        ids = used if self.some is None else self.some[used]
+        residual = np.sum((placed.vertices[ids] - self.scan.points[near[used]]) * normal, axis=1)
+        return [Block(residual, placed.vertex_rows(ids, normal), w[used])]
 
 
-def _constant_rows(n: int, where: slice, rows: Array) -> Array:
+def _constant_rows(n: int, where: Where, rows: Array) -> Array:
     full = np.zeros((len(rows), n))
     full[:, where] = rows
     return full
@@ -256,13 +265,13 @@ class MixturePrior:
 
 @dataclass(frozen=True, eq=False)
 class GaussianPrior:
-    """Independent normals on a slice: shape (Eq. 9), a protocol's pose, zero velocity (Eq. 21).
+    """Independent normals: shape (Eq. 9), a protocol's pose, zero velocity (Eq. 21).
 
     ``mean`` (m,) and ``sd`` (m,) in the parameters' units; the previous frame's pose as mean makes
     it the zero-velocity term.
     """
 
-    where: slice
+    where: Where
     mean: Array
     sd: Array
     weight: float = 1.0
@@ -367,16 +376,3 @@ def _attributes(
         inner += 0.0 if rim[b] else x
         inner += 0.0 if rim[c] else y
         on_rim[i] = inner < 1e-9
-
-
-@njit(cache=True, error_model="numpy", fastmath=True)
-def _rows(jacobian: Any, triangle: Any, barycentric: Any, direction: Any) -> Any:
-    """Differentiate points on triangles along directions: (m, n)."""
-    out = np.zeros((len(triangle), jacobian.shape[2]))
-    for i in range(len(triangle)):
-        for corner in range(3):
-            v, b = triangle[i, corner], barycentric[i, corner]
-            x, y, z = b * direction[i, 0], b * direction[i, 1], b * direction[i, 2]
-            for p in range(jacobian.shape[2]):
-                out[i, p] += x * jacobian[v, 0, p] + y * jacobian[v, 1, p] + z * jacobian[v, 2, p]
-    return out

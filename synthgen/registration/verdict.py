@@ -12,18 +12,20 @@ from synthgen.registration.statistics import PARTS, Statistics
 Verdict = Literal["pass", "unobserved", "fail"]
 REASONS = (
     "no_points",  # empty scan, or too few finite points
-    "scale",  # extent does not fit a hand: wrong unit
-    "background",  # much of the scan is no hand
+    "scale",  # extent does not fit a hand or body: wrong unit
+    "background",  # much of the scan is no hand or body
     "two_hands",  # two hand-sized pieces
-    "flipped_normals",  # normals point into the hand
+    "two_bodies",  # two body-sized pieces
+    "flipped_normals",  # normals point into the skin
     "other_hand",  # fits as the other side
     "cold_start_failed",  # no start led to a fit that explains the scan
     "finger_swap",  # (part) two parts are badly explained
     "finger_missed",  # (part) one part is badly explained
+    "part_missed",  # (parts) parts of a body are badly explained
     "hole",  # (parts) the scan does not determine them: verdict unobserved
     "shape_limit",  # a shape coefficient beyond 4 standard deviations
     "not_converged",
-    "noise_above_spec",  # points scatter by more than 2 mm
+    "noise_above_spec",  # points scatter by more than 2 mm, a body's by more than 4
     "truth_mismatch",  # round trip only: the fit is good and the truth is far
 )
 UNEXPLAINED, RATIO, EXPLAINED = 0.035, 1.17, 0.95

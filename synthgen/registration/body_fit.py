@@ -1,0 +1,240 @@
+"""Fitting a body to a scan: what :func:`synthgen.registration.fit` does for bodies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.errors import ShapeError
+from synthgen.models import BodyModel
+from synthgen.registration import body_schedule as schedule
+from synthgen.registration.body_prior import BodyPriors, body_priors
+from synthgen.registration.body_search import BodySearch
+from synthgen.registration.body_start import spread_yaws, yaws
+from synthgen.registration.body_statistics import BodyStatistics, body_statistics, judge_body
+from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.fitted import Fit
+from synthgen.registration.inspection import BODY, Finding, inspect
+from synthgen.registration.scan import Scan, checked_points, scan_of
+from synthgen.registration.solver import Energy, Outcome
+from synthgen.registration.surface import surface_of
+from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
+from synthgen.registration.verdict import Judgement
+
+Array = NDArray[np.float64]
+# Estimating normals costs more than the fit; so many points are enough for both.
+ESTIMATED = 40_000
+
+
+@dataclass(frozen=True, eq=False)
+class BodyCandidate:
+    """A finished fit of one start, with what it says about itself."""
+
+    placed: BodyPlaced
+    statistics: BodyStatistics
+    judgement: Judgement
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Larger is better."""
+        return self.judgement.verdict != "fail", self.statistics.explained
+
+
+def fit_body(
+    points: Any,
+    normals: Any,
+    model: BodyModel,
+    start: str | tuple[Any, ...],
+    *,
+    coupled: bool = False,
+    viewpoints: Any = None,
+    keypoints: tuple[Any, Any] | None = None,
+    pose_prior: tuple[Any, float] | None = None,
+    seed: int = 0,
+) -> Fit:
+    """Fit a body; arguments as :func:`synthgen.registration.fit`."""
+    surface = body_surface(model)
+    priors = body_priors(surface)
+    begin = start_vector(surface, start)
+    extra = _extra(surface, keypoints, pose_prior)
+    own, given, dropped = checked_points(points, normals)
+    if len(own) < 20:
+        finding = Finding("no_points", f"{len(own)} finite points; a scan has thousands")
+        return _refused(priors, finding, dropped)
+    scan = body_scan(own, given, viewpoints, seed=seed)
+    problem = inspect(scan, check_normals=given is not None, expected=BODY)
+    if problem is not None:
+        return _refused(priors, problem, dropped)
+    began = time.process_time()
+    search = BodySearch(priors, scan, extra)
+    chosen, kind = _searched(search, begin)
+    return _result(search, chosen, kind, dropped, time.process_time() - began)
+
+
+def body_surface(model: BodyModel) -> BodySurface:
+    """Return the surface of a body, made once per process."""
+    surface = surface_of(model)
+    assert isinstance(surface, BodySurface)
+    return surface
+
+
+def body_scan(
+    points: Array, normals: Array | None, viewpoints: Any = None, *, seed: int = 0
+) -> Scan:
+    """Return a body's scan; without normals it is thinned before they are estimated."""
+    if normals is None and len(points) > ESTIMATED:
+        points = points[:: -(-len(points) // ESTIMATED)]
+    return scan_of(points, normals, viewpoints, seed=seed, wide_m=BODY.wide_m,
+                   tree_points=schedule.TREE_POINTS)  # fmt: skip
+
+
+def start_vector(surface: BodySurface, start: str | tuple[Any, ...]) -> Array | None:
+    """Return (shape, pose, translation[, expression]) as a vector, or None when cold.
+
+    Raises
+    ------
+    ShapeError
+        If the start does not fit the model.
+    """
+    if isinstance(start, str):
+        if start != "cold":
+            raise ShapeError(f"start={start!r}; expected 'cold' or (shape, pose, translation)")
+        return None
+    parts = [np.asarray(part, dtype=np.float64) for part in start]
+    k, ns, ne = surface.n_joints, surface.model.n_shape, surface.model.n_expression
+    shapes = [part.shape for part in parts]
+    good = len(parts) in (3, 4) and parts[0].ndim == 1 and len(parts[0]) <= ns
+    good = good and parts[1].size == 3 * k and parts[2].size == 3
+    if not good or (len(parts) == 4 and parts[3].size > ne):
+        raise ShapeError(
+            f"start has shapes {shapes}; expected (up to {ns},), ({k}, 3), (3,)"
+            + (f" and, if given, (up to {ne},) of expression" if ne else "")
+        )
+    x = surface.pack(parts[0], parts[1].reshape(-1, 3), parts[2].ravel())
+    if len(parts) == 4:
+        x[surface.expression.start : surface.expression.start + parts[3].size] = parts[3].ravel()
+    if not np.isfinite(x).all():
+        raise ShapeError("start holds a number that is not finite")
+    return x
+
+
+def _extra(
+    surface: BodySurface,
+    keypoints: tuple[Any, Any] | None,
+    pose_prior: tuple[Any, float] | None,
+) -> list[Term]:
+    """Return what the caller knows besides the scan."""
+    extra: list[Term] = []
+    if keypoints is not None:
+        ids, positions = (np.asarray(a) for a in keypoints)
+        if positions.shape != (len(ids), 3):
+            raise ShapeError(f"keypoints: {len(ids)} ids for positions {positions.shape}")
+        extra.append(KeypointTerm(ids, positions, 0.01))
+    if pose_prior is not None:
+        pose = np.asarray(pose_prior[0], dtype=np.float64).ravel()
+        if pose.size != 3 * surface.n_joints:
+            raise ShapeError(f"pose_prior has {pose.size} numbers; expected {3 * surface.n_joints}")
+        inner = slice(surface.fingers.start, surface.pose.stop)
+        extra.append(GaussianPrior(inner, pose[3:], np.full(pose.size - 3, float(pose_prior[1]))))
+    return extra
+
+
+def _searched(search: BodySearch, begin: Array | None) -> tuple[BodyCandidate, str]:
+    """Fit from the given start, then cold, then from turns all around, until one is accepted."""
+    tries: list[tuple[str, Sequence[float] | None]] = [
+        ("cold, two turns", yaws(search.scan)), ("cold, eight turns", spread_yaws()),
+    ]  # fmt: skip
+    if begin is not None:
+        tries = [("given", None), *tries]
+    best: BodyCandidate | None = None
+    kind = ""
+    for name, turns in tries:
+        if turns is None:
+            assert begin is not None
+            x = search.stage(begin, schedule.WIDE).x
+        else:
+            x = search.cold(turns)
+        found = judged(search, search.finish(x))
+        if best is None or found.rank > best.rank:
+            best, kind = found, name
+        if best.judgement.verdict != "fail" or best.judgement.reason == "shape_limit":
+            break
+    assert best is not None
+    return best, kind
+
+
+def judged(search: BodySearch, outcome: Outcome) -> BodyCandidate:
+    """Judge where a search ended."""
+    placed = outcome.trial.placed
+    assert isinstance(placed, BodyPlaced)
+    began = time.process_time()
+    hessian, basis = information(search.priors, search.scan, placed, outcome)
+    found = body_statistics(placed, search.scan, hessian, basis)
+    search.seconds["report"] = time.process_time() - began
+    return BodyCandidate(placed, found, judge_body(found, placed.x[search.surface.shape]))
+
+
+def information(
+    priors: BodyPriors, scan: Scan, placed: BodyPlaced, outcome: Outcome
+) -> tuple[Array, Array]:
+    """Return the inverse covariance (p, p) of the directions (n, p) of the last stage."""
+    surface, stage = priors.surface, schedule.LAST
+    pairs = outcome.trial.matches[0]
+    squared = pairs.squared[pairs.kept]
+    noise = float(np.sqrt(np.median(squared)) / 0.6745) if len(squared) else 1e-3
+    crops = schedule.hand_crops(placed, scan)
+    wanted = stage.points + len(crops) * stage.hand_points
+    stage = replace(stage, n_eff=wanted, noise_m=float(np.clip(noise, 2e-4, 4e-3)))
+    energy = Energy(surface, schedule.body_terms(surface, scan, stage, priors.terms(), crops))
+    hessian, _ = energy.normal_equations(energy.at(placed.x))
+    basis = schedule.basis_of(priors, stage)
+    return basis.T @ hessian @ basis, basis
+
+
+def _refused(priors: BodyPriors, problem: Finding, dropped: int) -> Fit:
+    """Return a fail without a fit: the mean body in an A-pose at the origin."""
+    report = {"verdict": "fail", "reason": problem.reason, "message": problem.message,
+              "points_dropped": dropped}  # fmt: skip
+    placed = priors.surface.at(priors.start)
+    return as_fit(placed, Judgement("fail", problem.reason), report)
+
+
+def as_fit(placed: BodyPlaced, judgement: Judgement, report: dict[str, Any],
+           sd_m: Array | None = None) -> Fit:  # fmt: skip
+    """Return a placed body as a result."""
+    surface = placed.surface
+    shape, pose, translation = surface.unpack(placed.x)
+    return Fit(
+        shape=shape, pose=pose, translation=translation, hand=None,
+        vertices=placed.vertices.copy(), joints=placed.joints.copy(),
+        verdict=judgement.verdict, reason=judgement.text, report=report, model=surface.model,
+        expression=placed.x[surface.expression].copy() if surface.model.n_expression else None,
+        vertex_sd_m=np.zeros(0) if sd_m is None else sd_m,
+    )  # fmt: skip
+
+
+def _result(
+    search: BodySearch, chosen: BodyCandidate, kind: str, dropped: int, cpu_s: float
+) -> Fit:
+    judgement, model = chosen.judgement, search.surface.model
+    report = {
+        "verdict": judgement.verdict,
+        "reason": judgement.text,
+        "hand": None,
+        "model": model.name,
+        "model_digest": model.digest,
+        "preset": "body",
+        "start": kind,
+        "points": len(search.scan.points),
+        "points_dropped": dropped,
+        "stages": search.stages,
+        "largest_beta": float(np.abs(chosen.placed.x[search.surface.shape]).max()),
+        "statistics": chosen.statistics.to_json(),
+        "cpu_s": {"total": cpu_s, **search.seconds},
+    }
+    return as_fit(chosen.placed, judgement, report, chosen.statistics.sd_m)

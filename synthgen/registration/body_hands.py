@@ -1,0 +1,191 @@
+"""Hands of a body begun afresh: many wrists and poses are tried on the forearm and hand alone.
+
+A hand is a thicket of local minima: turned over, or every finger on its neighbour's points. The
+part of the body below the elbow is a model of its own with an eighth of the vertices, so that a
+hundred hypotheses can be tried at the price of a dozen steps of the whole body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from synthgen.geometry.normals import unit
+from synthgen.models import separate
+from synthgen.models.joints import SIDES
+from synthgen.registration.body_prior import BodyPriors, HandPriors
+from synthgen.registration.body_schedule import MM, BodyStage, hand_crops, hand_vertices
+from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.scan import Scan, nearest
+from synthgen.registration.solver import Energy, minimise
+from synthgen.registration.terms import (
+    GaussianPrior,
+    GemanMcClure,
+    MeshToScan,
+    ScanToMesh,
+    Term,
+)
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+ROUGH = BodyStage(300, 6, 12 * MM, 60 * MM, 0.0, 3 * MM, 400, 0.1, 0.3, 60 * MM)
+TIGHT = BodyStage(700, 8, 5 * MM, 30 * MM, 0.2, 2 * MM, 1200, 0.05, 0.3, 30 * MM)
+REFINED, TIGHTENED, FEW_POINTS, MARGIN_M = 6, 3, 40, 0.08
+LOOKED = 4
+# Turns of the forearm about its bone and of the wrist about its y and z axes, radians.
+ARMS = (
+    (0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.4), (0.0, 0.0, -0.4),
+    (0.8, 0.0, 0.0), (-0.8, 0.0, 0.0), (1.6, 0.0, 0.0), (-1.6, 0.0, 0.0),
+)  # fmt: skip
+ASIDE = (-0.25, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class HandPart:
+    """Forearm and hand of one side as a surface of its own.
+
+    Attributes
+    ----------
+    surface : BodySurface
+        Of the part.
+    columns : (n',) int64
+        Of the body's vector: the part's vector is ``x[columns]``.
+    elbow, wrist, hand : slice
+        Of the part's vector.
+    bone : (3,)
+        From elbow to wrist at rest.
+    looked : (m,) int64
+        Some vertices of the hand, of the part.
+    """
+
+    surface: BodySurface
+    columns: Ids
+    elbow: slice
+    wrist: slice
+    hand: slice
+    bone: Array
+    looked: Ids
+
+
+@lru_cache(maxsize=8)
+def hand_part(surface: BodySurface, side: str) -> HandPart:
+    """Separate forearm and hand from a body."""
+    model = surface.model
+    own = np.zeros(surface.n_vertices, dtype=bool)
+    own[hand_vertices(surface, side)] = True
+    looked = own.copy()
+    own |= model.weights.argmax(axis=1) == model.joint_names.index(f"{side}_elbow")
+    ids = np.flatnonzero(own)
+    part = separate(model, ids)
+    small = BodySurface(part.model)
+    pose = surface.pose.start + 3 * part.joint_ids[:, None] + np.arange(3)
+    columns = [np.r_[surface.shape], pose.ravel(), np.r_[surface.translation]]
+    if part.model.n_expression:
+        columns.append(np.r_[surface.expression])
+    elbow, wrist = small.joint(f"{side}_elbow"), small.joint(f"{side}_wrist")
+    _, rest = model.shaped(np.zeros(model.n_shape))
+    ends = [model.joint_names.index(f"{side}_{name}") for name in ("elbow", "wrist")]
+    return HandPart(
+        surface=small,
+        columns=np.concatenate(columns).astype(np.int64),
+        elbow=elbow,
+        wrist=wrist,
+        hand=small.hands[side],
+        bone=unit(rest[ends[1]] - rest[ends[0]]),
+        looked=np.flatnonzero(looked[ids])[::LOOKED],
+    )
+
+
+def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str) -> Array:
+    """Return x with the best elbow, wrist and fingers found for one hand; x if it has no points."""
+    part = hand_part(priors.surface, side)
+    points = _own_points(priors.surface.at(x), scan, side)
+    if len(points) < FEW_POINTS:
+        return x
+    own = Scan(scan.points[points], scan.normals[points])
+    hand = priors.hands[side]
+    y = x[part.columns]
+    rough = _energy(part, own, ROUGH, _terms(priors, part, hand))
+    tried = sorted(_hypotheses(part, hand, y), key=lambda v: rough.at(v).cost)
+    basis = _basis(part, hand.components)
+    ends = [minimise(rough, v, iterations=ROUGH.iterations, basis=basis, damping=1e-3)
+            for v in [y, *tried[:REFINED]]]  # fmt: skip
+    ends.sort(key=lambda outcome: outcome.trial.cost)
+    tight = _energy(part, own, TIGHT, rough.terms[2:])
+    basis = _basis(part, hand.more)
+    last = [minimise(tight, o.x, iterations=TIGHT.iterations, basis=basis, damping=1e-3)
+            for o in ends[:TIGHTENED]]  # fmt: skip
+    result = x.copy()
+    result[part.columns] = min(last, key=lambda outcome: outcome.trial.cost).x
+    return result
+
+
+def _own_points(placed: BodyPlaced, scan: Scan, side: str) -> Ids:
+    """Points around a hand that are nearer to it or its forearm than to other skin."""
+    surface = placed.surface
+    crop = hand_crops(placed, scan, MARGIN_M)[SIDES.index(side)]
+    joint = surface.model.joint_names.index(f"{side}_elbow")
+    own = surface.model.weights.argmax(axis=1) == joint
+    own[hand_vertices(surface, side)] = True
+    _, near = nearest(placed.tree, scan.points[crop])
+    return np.asarray(crop[own[near]])
+
+
+def _terms(priors: BodyPriors, part: HandPart, hand: HandPriors) -> list[Term]:
+    """Return the priors of elbow, wrist and fingers."""
+    arm = np.r_[part.elbow, part.wrist]
+    among = np.searchsorted(priors.joints, part.columns[arm])
+    mean, sd = priors.start[part.columns[arm]], priors.sd[among]
+    fingers = [replace(term, where=part.hand) for term in (hand.mixture, hand.complement)]
+    return [GaussianPrior(arm, mean, sd), *fingers]
+
+
+def _energy(part: HandPart, own: Scan, stage: BodyStage, priors: list[Term]) -> Energy:
+    points, normals = own.points[: stage.points], own.normals[: stage.points]
+    weight, rho = stage.n_eff / stage.noise_m**2, GemanMcClure(stage.sigma_m)
+    data = ScanToMesh(points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential,
+                      tied=100)  # fmt: skip
+    skin = MeshToScan(own, weight * stage.mesh_to_scan, rho, stage.mesh_cut_m,
+                      max(stage.cosine, 0.2), some=part.looked)  # fmt: skip
+    return Energy(part.surface, [data, skin, *priors])
+
+
+def _basis(part: HandPart, fingers: Array) -> Array:
+    """Directions of elbow, wrist and some finger components."""
+    basis = np.zeros((part.surface.n, 6 + fingers.shape[1]))
+    basis[part.elbow, :3] = np.eye(3)
+    basis[part.wrist, 3:6] = np.eye(3)
+    basis[part.hand, 6:] = fingers
+    return basis
+
+
+def _hypotheses(part: HandPart, hand: HandPriors, y: Array) -> Iterator[Array]:
+    """Yield vectors with each of some arms and typical poses."""
+    for arm in _arms(part, y):
+        for pose in [y[part.hand], *hand.typical]:
+            other = arm.copy()
+            other[part.hand] = pose
+            yield other
+
+
+def _arms(part: HandPart, y: Array) -> Iterator[Array]:
+    """Yield the arm as it is, with the wrist turned aside, and with forearm and wrist set anew."""
+    yield y
+    wrist, elbow = Rotation.from_rotvec(y[part.wrist]), Rotation.from_rotvec(y[part.elbow])
+    for angle in ASIDE:
+        other = y.copy()
+        other[part.wrist] = (wrist * Rotation.from_rotvec([0, angle, 0])).as_rotvec()
+        yield other
+    q = elbow.as_quat()
+    twist = 2 * np.arctan2(q[:3] @ part.bone, q[3])
+    swing = elbow * Rotation.from_rotvec(-twist * part.bone)
+    for turn, side, bend in ARMS:
+        other = y.copy()
+        other[part.elbow] = (swing * Rotation.from_rotvec(turn * part.bone)).as_rotvec()
+        other[part.wrist] = (0.0, side, bend)
+        yield other

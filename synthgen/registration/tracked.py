@@ -1,0 +1,88 @@
+"""What tracking works with: a frame's end, and what follows a kind of subject."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.registration.fitted import Fit
+from synthgen.registration.inspection import Finding
+from synthgen.registration.scan import Scan
+from synthgen.registration.surface import Surface
+from synthgen.registration.verdict import Judgement
+
+Array = NDArray[np.float64]
+# For how many frames each hand has not been seen.
+Unseen = Mapping[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Where one frame ended.
+
+    Attributes
+    ----------
+    x : (n,) float64
+    judgement : Judgement
+    unseen : mapping of side to int
+        For how many frames each hand has not been seen, this one included.
+    report : dict
+        JSON types.
+    """
+
+    x: Array
+    judgement: Judgement
+    unseen: Unseen
+    report: dict[str, Any]
+
+
+class Follower(Protocol):
+    """Fits one subject frame by frame."""
+
+    @property
+    def surface(self) -> Surface:
+        """Of the vectors that frames are."""
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Hands that may be missing."""
+
+    def scan(self, points: Any, normals: Any) -> Scan | Finding:
+        """Prepare a frame, or say that it has too few points."""
+
+    def inspect(self, scan: Scan) -> Finding | None:
+        """Say what is wrong with a scan that could not be fitted, if it is the scan."""
+
+    def begin(self, points: Any, normals: Any, start: Any) -> Fit:
+        """Fit a frame that nothing is known of but ``start``."""
+
+    def vector(self, fit: Fit) -> Array:
+        """Return a fit's parameters (n,)."""
+
+    def fitted(self, x: Array, judgement: Judgement, report: dict[str, Any]) -> Fit:
+        """Return parameters (n,) as a result."""
+
+    def hand(self, side: str) -> NDArray[np.int64]:
+        """Return the parameters that are a hand's alone."""
+
+    def follow(
+        self, scan: Scan, previous: Array, start: Array, unseen: Unseen, *, shape_free: bool
+    ) -> Frame:
+        """Fit the next frame.
+
+        Parameters
+        ----------
+        scan : Scan
+        previous : (n,)
+            The frame before, which the velocity prior holds to.
+        start : (n,)
+            Where to begin.
+        unseen : mapping of side to int
+            Before this frame.
+        shape_free : bool
+            Also fit the betas (first frames of a subject).
+        """

@@ -1,0 +1,243 @@
+"""Tracking a subject through a sequence of scans (Eq. 20-23).
+
+The subject's shape is estimated over the first frames, then frozen: a subject-specific template.
+Every frame starts from the one before. A frame that cannot be fitted is held, not the end.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from synthgen.errors import ShapeError
+from synthgen.models import BodyModel
+from synthgen.registration.fitted import Fit
+from synthgen.registration.inspection import Finding
+from synthgen.registration.scan import Scan
+from synthgen.registration.tracked import Follower, Frame
+from synthgen.registration.tracking_body import BodyFollower
+from synthgen.registration.tracking_hand import HandFollower
+from synthgen.registration.verdict import Judgement
+
+Array = NDArray[np.float64]
+FIRST, LOST_AFTER = 4, 3
+# Faster changes are jumps of the parametrisation, not motion to go on with.
+FASTEST = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A tracked sequence.
+
+    Attributes
+    ----------
+    fits : tuple of Fit
+        One a frame. Verdict "unobserved" names hands that are held; a failed frame repeats the
+        last good one.
+    shape : (nb,)
+        The subject's, in all frames.
+    model : BodyModel
+        Whose parameters they are.
+    report : dict
+        JSON types.
+    """
+
+    fits: tuple[Fit, ...]
+    shape: Array
+    model: BodyModel
+    report: dict[str, Any]
+
+
+def track(
+    frames: Iterable[tuple[Any, Any]],
+    model: BodyModel,
+    start: Any = "cold",
+    hand: str | None = None,
+    *,
+    shape: Any = None,
+    first: int = FIRST,
+    seed: int = 0,
+    done: Callable[[int, Fit], None] | None = None,
+) -> Track:
+    """Fit a model to the scans of a moving subject.
+
+    Parameters
+    ----------
+    frames : iterable of (points (N, 3), normals (N, 3) or None)
+        Metres, in order; read one at a time after the first few.
+    model : BodyModel
+        SMPL+H or SUPR form, or a hand in MANO form; a subject's own template is a model with
+        another ``v_template``.
+    start : "cold" or (shape, pose, translation)
+        Of the first frame; see :func:`synthgen.registration.fit`.
+    hand : "left", "right", "auto" or None
+        Side of a hand model.
+    shape : (nb,) or None
+        The subject's betas; None: estimated over the first frames.
+    first : int
+        How many frames that is.
+    seed : int
+        Of the order of points.
+    done : function of (int, Fit) or None
+        Called after every frame.
+
+    Raises
+    ------
+    ShapeError, ModelError
+        If arguments do not belong together, or there are no frames (not for bad scans).
+    """
+    if first < 1:
+        raise ShapeError(f"first={first}: the shape is estimated over at least one frame")
+    upcoming = iter(frames)
+    early = list(islice(upcoming, first))
+    if not early:
+        raise ShapeError("there are no frames; pass (points, normals) of at least one")
+    follower: Follower = (BodyFollower(model, seed) if model.hand is None
+                          else HandFollower(model, hand, seed))  # fmt: skip
+    began = time.process_time()
+    with threadpool_limits(limits=1, user_api="blas"):
+        walk = (_acquainted(follower, early, start) if shape is None
+                else _Walk(follower, start, _given(shape, model)))  # fmt: skip
+        spent = time.process_time() - began
+        fits = list(_followed(walk, chain(early, upcoming), done))
+    betas = fits[-1].shape if walk.betas is None else walk.betas
+    report = _report(fits, spent, time.process_time() - began)
+    return Track(tuple(fits), betas, fits[-1].model, report)
+
+
+def _followed(
+    walk: _Walk, frames: Iterable[tuple[Any, Any]], done: Callable[[int, Fit], None] | None
+) -> Iterator[Fit]:
+    for k, (points, normals) in enumerate(frames):
+        fit = walk.step(points, normals)
+        if done is not None:
+            done(k, fit)
+        yield fit
+
+
+def _given(shape: Any, model: BodyModel) -> Array:
+    betas = np.zeros(model.n_shape)
+    values = np.asarray(shape, dtype=np.float64)
+    if values.ndim != 1 or len(values) > len(betas) or not np.isfinite(values).all():
+        raise ShapeError(
+            f"shape is {values.shape}; expected up to ({model.n_shape},) finite coefficients"
+        )
+    betas[: len(values)] = values
+    return betas
+
+
+def _acquainted(follower: Follower, frames: list[tuple[Any, Any]], start: Any) -> _Walk:
+    """Average the betas of the first frames (Eq. 20) and begin at the first that can be fitted."""
+    free = _Walk(follower, start, None)
+    fits = [free.step(points, normals) for points, normals in frames]
+    good = [fit for fit in fits if fit.report["followed"]]
+    if not good:
+        return _Walk(follower, "cold", None)
+    walk = _Walk(follower, "cold", np.mean([fit.shape for fit in good], axis=0))
+    walk.begin(good[0])
+    return walk
+
+
+class _Walk:
+    """A sequence in progress; betas None: they are fitted in every frame."""
+
+    def __init__(self, follower: Follower, start: Any, betas: Array | None) -> None:
+        self.follower, self.start, self.betas = follower, start, betas
+        self.unseen = dict.fromkeys(follower.sides, 0)
+        self.x: Array | None = None
+        self.motion: Array = np.zeros(0)
+        self.lost = 0
+
+    def step(self, points: Any, normals: Any) -> Fit:
+        """Fit the next frame, or hold the last one."""
+        began = time.process_time()
+        scan = self.follower.scan(points, normals)
+        if isinstance(scan, Finding):
+            self._stay()
+            return self._held(scan, began)
+        if self.x is None or self.lost >= LOST_AFTER:
+            found = self.follower.begin(points, normals, self.start)
+            self.start = "cold"
+            if found.verdict == "fail" and self.x is None:
+                return replace(found, report={**found.report, "followed": False})
+            if found.verdict != "fail":
+                self.begin(found)
+        assert self.x is not None
+        frame = self.follower.follow(
+            scan, self.x, self.x + self.motion, self.unseen, shape_free=self.betas is None
+        )
+        return self._kept(frame, scan, began)
+
+    def begin(self, found: Fit) -> None:
+        """Go on from a fit that knew nothing of the frames before."""
+        self.x = self.follower.vector(found)
+        if self.betas is not None:
+            self.x[self.follower.surface.shape] = self.betas
+        self.motion, self.lost = np.zeros(len(self.x)), 0
+        self.unseen = dict.fromkeys(self.follower.sides, 0)
+
+    def _kept(self, frame: Frame, scan: Scan, began: float) -> Fit:
+        judgement = frame.judgement
+        good = judgement.verdict != "fail" or judgement.reason.endswith("_missed")
+        problem = None if good else self.follower.inspect(scan)
+        if good:
+            self._move(frame)
+        else:
+            self._stay()
+        if problem is not None:
+            return self._held(problem, began)
+        assert self.x is not None
+        report = {
+            "verdict": judgement.verdict, "reason": judgement.text, "start": "frame before",
+            "followed": good, "points": len(scan.points), "unseen_frames": dict(self.unseen),
+            "statistics": frame.report, "cpu_s": {"total": time.process_time() - began},
+        }  # fmt: skip
+        return self.follower.fitted(self.x, judgement, report)
+
+    def _move(self, frame: Frame) -> None:
+        assert self.x is not None
+        moved = frame.x - self.x
+        moved[self.follower.surface.shape] = 0
+        for side, count in self.unseen.items():
+            moved[self.follower.hand(side)] /= 1 + count
+        self.motion = np.where(np.abs(moved) < FASTEST, moved, 0.0)
+        self.x, self.unseen, self.lost = frame.x, dict(frame.unseen), 0
+
+    def _stay(self) -> None:
+        self.lost += 1
+        self.motion = np.zeros_like(self.motion)
+        self.unseen = {side: count + 1 for side, count in self.unseen.items()}
+
+    def _held(self, problem: Finding, began: float) -> Fit:
+        """Repeat the last frame where a scan shows nothing; before any, return the model's mean."""
+        surface = self.follower.surface
+        x = np.zeros(surface.n) if self.x is None else self.x
+        judgement = Judgement("fail", problem.reason)
+        alone = len(self.follower.sides) == 1 and self.x is not None
+        if alone and problem.reason == "no_points":  # a hand that is not there
+            judgement = Judgement("unobserved", "hole", self.follower.sides)
+        report = {
+            "verdict": judgement.verdict, "reason": judgement.text, "message": problem.message,
+            "followed": False, "points": 0, "unseen_frames": dict(self.unseen),
+            "statistics": None, "cpu_s": {"total": time.process_time() - began},
+        }  # fmt: skip
+        return self.follower.fitted(x, judgement, report)
+
+
+def _report(fits: list[Fit], first_s: float, total_s: float) -> dict[str, Any]:
+    verdicts = [fit.verdict for fit in fits]
+    return {
+        "frames": len(fits),
+        "verdicts": {v: verdicts.count(v) for v in ("pass", "unobserved", "fail")},
+        "reasons": [fit.reason for fit in fits],
+        "followed": [bool(fit.report["followed"]) for fit in fits],
+        "unseen_frames": [fit.report.get("unseen_frames") for fit in fits],
+        "cpu_s": {"shape": first_s, "total": total_s},
+    }
