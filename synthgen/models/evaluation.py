@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.models import kernels
+from synthgen.models import kernels, skinning
 from synthgen.models.arguments import Arguments, checked
 from synthgen.models.model import Posed
 from synthgen.models.pose_features import rotations_and_features
@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from synthgen.models.packed import Packed
 
 Array = NDArray[np.float64]
-# Samples and vertices of one matrix product: the basis is read once per so many samples, and what
-# a product writes is skinned while it is in the caches.
-_SAMPLES, _VERTICES = 256, 196
-# From this many samples on, vectorising over samples beats going through them one by one.
+# Samples of one matrix product: the basis is read once per so many.
+_SAMPLES = 256
+# From this many samples on, sparse correctives are added to several samples side by side.
 _TILED_FROM = 8
 
 
@@ -94,67 +93,66 @@ def pose_skeleton(model: BodyModel, given: Arguments, packed: Packed) -> Skeleto
 def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDArray[Any]:
     """Return posed vertices (B, V, 3)."""
     n, v = len(skeleton.skin), len(packed.weights)
-    rows, features, moved = basis_coefficients(packed, skeleton, translation)
+    drive = driven(packed, skeleton, translation)
     out = np.empty((n, 3 * v), packed.basis.dtype)
-    if n < _TILED_FROM:
-        points = rows @ packed.basis[: rows.shape[1]]
-        skin_points(packed, points, features, skeleton.skin, moved, out)
-        return out.reshape(n, v, 3)
     for k in range(0, n, _SAMPLES):
-        part = slice(k, min(k + _SAMPLES, n))
-        _pose_many(packed, rows[part], features[part], skeleton.skin[part], moved[part], out[part])
+        some = Drive(*(a[k : k + _SAMPLES] for a in drive))
+        points = rest_points(packed, some, out[k : k + _SAMPLES])
+        skin_points(packed, some, points, points)
     return out.reshape(n, v, 3)
 
 
-def _pose_many(
-    packed: Packed, rows: NDArray[Any], features: NDArray[Any], skin: NDArray[Any],
-    moved: NDArray[Any], out: NDArray[Any],
-) -> None:  # fmt: skip
-    """Pose samples together, some vertices at a time -> out (B, 3 V)."""
-    v, runs = len(packed.weights), packed.runs
-    basis = packed.basis[: rows.shape[1]].T
-    used = features if len(runs.feature) else features[:, :0]
-    columns = np.zeros((rows.shape[1], len(rows) + -len(rows) % kernels.TILE), rows.dtype)
-    columns[:, : len(rows)] = rows.T
-    maps, driven = kernels.tiled(skin, columns.shape[1]), kernels.tiled(used, columns.shape[1])
-    scratch = np.empty((3 * min(v, _VERTICES), columns.shape[1]), rows.dtype)
-    for v0 in range(0, v, _VERTICES):
-        v1 = min(v0 + _VERTICES, v)
-        points = np.matmul(basis[3 * v0 : 3 * v1], columns, out=scratch[: 3 * (v1 - v0)])
-        kernels.skin_tiles(
-            v0, points, driven, runs.start, runs.feature, runs.offset, runs.values, maps,
-            packed.joint_ids, packed.weights, packed.excess, moved, out,
-        )  # fmt: skip
+class Drive(NamedTuple):
+    """What the bases and the points of a batch are multiplied with, in the type of the bases.
 
-
-def basis_coefficients(
-    packed: Packed, skeleton: Skeleton, translation: Array
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return what multiplies the basis' first rows (B, r), pose features (B, K q), shift (B, 3).
-
-    All in the type of the packed bases.
+    Attributes
+    ----------
+    rows : (B, r)
+        Multiply the basis' first r rows.
+    features : (B, K q)
+        Pose features, for the sparse correctives.
+    maps : (B, K, 12)
+        As ``Skeleton.skin``.
+    shift : (B, 3)
+        Translation.
     """
+
+    rows: NDArray[Any]
+    features: NDArray[Any]
+    maps: NDArray[Any]
+    shift: NDArray[Any]
+
+
+def driven(packed: Packed, skeleton: Skeleton, translation: Array) -> Drive:
+    """Round a posed skeleton for the per-vertex work."""
     n, k, q = skeleton.features.shape
     dtype, used = packed.basis.dtype, len(packed.dense) + skeleton.coefficients.shape[1]
     rows, features = np.empty((n, used), dtype), np.empty((n, k * q), dtype)
-    moved = np.empty((n, 3), dtype)
+    shift = np.empty((n, 3), dtype)
     kernels.assemble(
         skeleton.features.reshape(n, k * q), skeleton.coefficients, packed.dense, translation,
-        rows, features, moved,
+        rows, features, shift,
     )  # fmt: skip
-    return rows, features, moved
+    return Drive(rows, features, skeleton.skin, shift)
 
 
-def skin_points(
-    packed: Packed, points: NDArray[Any], features: NDArray[Any], skin: NDArray[Any],
-    moved: NDArray[Any], out: NDArray[Any],
-) -> None:  # fmt: skip
-    """Skin rest points (B, 3 V) by the dense bases, sample by sample -> out (B, 3 V)."""
+def rest_points(packed: Packed, drive: Drive, out: NDArray[Any]) -> NDArray[Any]:
+    """Return rest points, correctives included -> out (B, 3 V)."""
+    np.matmul(drive.rows, packed.basis[: drive.rows.shape[1]], out=out)
     runs = packed.runs
-    kernels.skin_samples(
-        points, features, runs.start, runs.feature, runs.offset, runs.values, skin,
-        packed.joint_ids, packed.weights, packed.excess, moved, out,
-    )  # fmt: skip
+    if len(runs.vertices):
+        correct = skinning.correct_few if len(out) < _TILED_FROM else skinning.correct_many
+        correct(
+            drive.features, runs.vertices, runs.start, runs.feature, runs.offset, runs.values, out
+        )
+    return out
+
+
+def skin_points(packed: Packed, drive: Drive, points: NDArray[Any], out: NDArray[Any]) -> None:
+    """Skin rest points (B, 3 V) -> out (B, 3 V), which may be the same."""
+    skinning.skin(
+        points, drive.maps, packed.joint_ids, packed.weights, packed.excess, drive.shift, out
+    )
 
 
 def _coefficients(model: BodyModel, given: Arguments, joint_basis: Array) -> tuple[Array, Array]:

@@ -33,6 +33,8 @@ class Runs:
 
     Attributes
     ----------
+    vertices : (c,) int64
+        Those that have any.
     start : (V + 1,) int64
         Runs of vertex v are ``start[v]:start[v + 1]``.
     feature : (n,) int64
@@ -42,6 +44,7 @@ class Runs:
     values : (m,)
     """
 
+    vertices: NDArray[np.int64]
     start: NDArray[np.int64]
     feature: NDArray[np.int64]
     offset: NDArray[np.int64]
@@ -171,4 +174,4 @@ def _runs(correctives: Array, active: NDArray[np.bool_], first: int, dtype: Any)
     pieces = zip(vertex, begin * q, length, strict=True)
     values = [rows[n, :, b : b + size].ravel() for n, b, size in pieces]
     flat = np.concatenate(values) if values else np.zeros(0)
-    return Runs(start, (begin + first) * q, offset, flat.astype(dtype))
+    return Runs(np.unique(vertex), start, (begin + first) * q, offset, flat.astype(dtype))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ShapeError
 from synthgen.models import vjp_kernels
 from synthgen.models.arguments import Arguments, checked
-from synthgen.models.evaluation import Skeleton, basis_coefficients, pose_skeleton, skin_points
+from synthgen.models.evaluation import Skeleton, driven, pose_skeleton, rest_points, skin_points
 from synthgen.models.pose_tangents import of_vectors, tangents
 
 if TYPE_CHECKING:
@@ -94,10 +94,10 @@ def forward(
         raise ShapeError("a batch of no samples has no gradient; pass at least one")
     packed = model.packed if dtype == np.float32 else model.packed_double
     skeleton = pose_skeleton(model, given, packed)
-    rows, features, moved = basis_coefficients(packed, skeleton, given.translation)
-    points = rows @ packed.basis[: rows.shape[1]]
+    drive = driven(packed, skeleton, given.translation)
+    points = np.empty((len(given.pose), packed.basis.shape[1]), packed.basis.dtype)
     out = np.empty_like(points)
-    skin_points(packed, points, features, skeleton.skin, moved, out)
+    skin_points(packed, drive, rest_points(packed, drive, points), out)
     vertices = out.reshape(len(out), len(packed.weights), 3)
     joints = np.ascontiguousarray(skeleton.transforms[..., :3, 3])
     return Forward(model, packed, given, skeleton, points, vertices, joints)
