@@ -128,6 +128,7 @@ def describe(o: Outcome) -> str:
     s = o.fit.report.get("statistics") or {}
     stats = "" if not s else (
         f"bf {s['worst_part_unexplained']:.3f} ratio {s['worst_part_p95_ratio']:.2f} "
+        f"bias {max((p.get('biased_patches') or 0) for p in s['parts'].values()):.2f} "
         f"sd95 {s['predicted_vertex_sd_mm']['p95']:.2f} ex {s['explained']:.3f}"
     )  # fmt: skip
     return (f"{o.case.name[:24]:24} cover {o.case.seen.mean():.2f} v2v {o.error:.2f} seen "

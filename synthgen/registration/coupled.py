@@ -1,8 +1,9 @@
 """The coupled stage: a free mesh V tied to the model M by its edges (Eq. 7, 20, 23).
 
-With correspondences fixed, point-to-plane distance is quadratic in V, so each round solves one
-sparse system, then draws the model's parameters after V through the same edges. Point-to-plane
-cannot see a vertex slide along the surface: the free mesh is a measure of the *surface*.
+With correspondences fixed, point-to-plane distance is quadratic in V and, to first order, the
+edges tie the model's parameters to V by least squares. Each round matches once and then alternates
+the two a few times: parameters that follow V undo the sliding of its vertices along the surface,
+which point-to-plane cannot see and which costs surface error where flat triangles meet curved skin.
 """
 
 from __future__ import annotations
@@ -10,20 +11,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import linalg
 
-from synthgen.geometry.normals import face_cross, unit
+from synthgen.registration.free_mesh import Closest, Quadratic, Topology, closest_walk, topology
+from synthgen.registration.free_mesh import quadratic as quadratic_of
 from synthgen.registration.scan import Scan
-from synthgen.registration.surface import Found, Placed, Surface
-from synthgen.registration.terms import GemanMcClure, Pairs, Term, closest
+from synthgen.registration.surface import Placed, Surface
+from synthgen.registration.terms import Term
 
 Array = NDArray[np.float64]
-DIRECT_VERTICES = 4000
+# Vertices are solved for to a hundredth of the least noise of a scanner.
+TOLERANCE_M = 2e-6
 
 
 @dataclass(frozen=True)
@@ -33,75 +34,81 @@ class CoupledSettings:
     Attributes
     ----------
     points, rounds : int
+    follow : int
+        How often the parameters follow the mesh in each round; 0: the model stays.
     edge_sd_m : float
         Standard deviation of the difference between an edge of V and of M, metres.
     offset_sd_m : float
         Loose tie of vertices to the model, which holds what no point sees.
     sigma_m, cut_m, cosine : float
         Of correspondences, as in :class:`synthgen.registration.schedule.Stage`.
-    tangential : float
-        Share of the point-to-point distance.
+    first : float
+        The first round's scale and cut are wider by this factor.
     """
 
-    points: int = 25_000
-    rounds: int = 4
-    edge_sd_m: float = 1e-3
+    points: int = 50_000
+    rounds: int = 6
+    follow: int = 2
+    edge_sd_m: float = 7e-4
     offset_sd_m: float = 0.02
     sigma_m: float = 1e-3
     cut_m: float = 4e-3
     cosine: float = 0.5
-    tangential: float = 0.02
+    first: float = 1.0
+
+
+# Bodies: the model's shape is farther from the skin, and following 52 joints costs more than it
+# brings (the model is tracked by its own fit).
+BODY = CoupledSettings(
+    points=40_000, rounds=4, follow=0, edge_sd_m=1e-3, sigma_m=2e-3, cut_m=0.01, first=2.0
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Coupled:
-    """Free vertices (V, 3) and the parameters (n,) that follow them."""
+    """Free vertices (V, 3), the parameters (n,) that follow them, and vertices with data (V,)."""
 
     vertices: Array
     x: Array
+    seen: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeCoupling:
-    """Edge coupling (Eq. 7): sum over edges of |e_V - e_M|^2 / sd^2.
+    """Edge coupling (Eq. 7): sum over edges of |e_V - e_M|^2 / sd^2, and the loose tie."""
 
-    ``laplacian`` (V, V) is D^T D of the edge differences D.
-    """
-
+    mesh: Topology
     laplacian: sparse.csr_matrix
-    edges: NDArray[np.int64]
     sd_m: float
+    offset_sd_m: float
 
     def residual(self, free: Array, model: Array) -> Array:
         """Edge differences in standard deviations, (E, 3)."""
-        i, j = self.edges.T
+        i, j = self.mesh.edges.T
         off = free - model
         return np.asarray((off[i] - off[j]) / self.sd_m)
 
-    def model_equations(self, free: Array, placed: Placed) -> tuple[Array, Array]:
-        """Return normal equations (n, n), (n,) of the parameters for a fixed free mesh."""
-        n = placed.surface.n
-        hessian, gradient = np.zeros((n, n)), np.zeros(n)
-        off = placed.vertices - free
-        for axis in range(3):
-            rows = np.ascontiguousarray(placed.jacobian[:, axis])
-            spread = self.laplacian @ rows
-            hessian += rows.T @ spread
-            gradient += spread.T @ off[:, axis]
-        return hessian / self.sd_m**2, gradient / self.sd_m**2
+    def model_equations(self, placed: Placed) -> tuple[Array, Array]:
+        """Return J^T C J (n, n) and J^T C (n, V, 3); C is the coupling's quadratic form."""
+        jacobian = placed.jacobian
+        v, _, n = jacobian.shape
+        flat = jacobian.reshape(v, 3 * n)
+        pull = self.laplacian @ flat / self.sd_m**2 + flat / self.offset_sd_m**2
+        pull = pull.reshape(3 * v, n)
+        return jacobian.reshape(3 * v, n).T @ pull, pull.T.reshape(n, v, 3)
 
 
 @lru_cache(maxsize=8)
-def edge_coupling(surface: Surface, sd_m: float) -> EdgeCoupling:
+def mesh_of(surface: Surface) -> Topology:
+    """Topology of a surface, made once."""
+    return topology(surface.faces, surface.n_vertices)
+
+
+@lru_cache(maxsize=8)
+def edge_coupling(surface: Surface, sd_m: float, offset_sd_m: float = 0.02) -> EdgeCoupling:
     """Edges of a surface and their Laplacian."""
-    f = surface.faces
-    pairs = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
-    edges = np.unique(pairs, axis=0)
-    m, v = len(edges), surface.n_vertices
-    rows = np.repeat(np.arange(m), 2)
-    signs = np.tile([1.0, -1.0], m)
-    d = sparse.csr_matrix((signs, (rows, edges.ravel())), (m, v))
-    return EdgeCoupling((d.T @ d).tocsr(), edges, sd_m)
+    mesh = mesh_of(surface)
+    return EdgeCoupling(mesh, mesh.laplacian, sd_m, offset_sd_m)
 
 
 def couple(
@@ -113,87 +120,55 @@ def couple(
     settings: CoupledSettings = CoupledSettings(),
 ) -> Coupled:
     """Free the mesh from the model, starting at a good fit x."""
-    coupling = edge_coupling(surface, settings.edge_sd_m)
-    placed = surface.at(x)
-    free = placed.vertices.copy()
-    for _ in range(settings.rounds):
-        pairs = _match(surface, free, scan, settings)
-        free = _solve(free, placed.vertices, pairs, scan, coupling, noise_m, settings)
-        placed = _follow(placed, free, coupling, priors)
-    return Coupled(free, placed.x)
+    mesh, placed = mesh_of(surface), surface.at(x)
+    free, at, problem = placed.vertices.copy(), None, None
+    points = np.ascontiguousarray(scan.points[: settings.points])
+    for k in range(settings.rounds):
+        at = closest_walk(mesh, free, points, at)
+        wide = settings.first if k == 0 else 1.0
+        problem = _problem(mesh, free, points, scan, at, noise_m, settings, wide)
+        if settings.follow:
+            free, placed = _alternate(surface, placed, free, problem, priors, settings)
+        else:
+            free = problem.solve(placed.vertices, free, TOLERANCE_M)
+    seen = np.zeros(len(free), dtype=bool)
+    if at is not None and problem is not None:
+        seen[np.unique(mesh.faces[at.face[problem.kept]])] = True
+    return Coupled(free, placed.x, seen)
 
 
-class _Free:
-    """A free mesh in the shape that :func:`closest` reads."""
-
-    def __init__(self, surface: Surface, vertices: Array) -> None:
-        self.surface, self.vertices = surface, vertices
-        self.normals = unit(surface._incidence @ face_cross(vertices, surface.faces))
-
-    def nearest(self, points: Array, neighbours: int = 1) -> Found:
-        return self.surface.nearest(self.vertices, points, neighbours)
-
-
-def _match(surface: Surface, free: Array, scan: Scan, settings: CoupledSettings) -> Pairs:
-    mesh: Any = _Free(surface, free)
-    n = settings.points
-    return closest(mesh, scan.points[:n], scan.normals[:n], cut_m=settings.cut_m,
-                   cosine=settings.cosine)  # fmt: skip
+def _problem(
+    mesh: Topology, free: Array, points: Array, scan: Scan, at: Closest, noise_m: float,
+    settings: CoupledSettings, wide: float,
+) -> Quadratic:  # fmt: skip
+    return quadratic_of(
+        mesh, free, points, scan.normals[: settings.points], at, noise_m=noise_m,
+        edge_sd_m=settings.edge_sd_m, tie_sd_m=settings.offset_sd_m,
+        sigma_m=wide * settings.sigma_m, cut_m=wide * settings.cut_m, cosine=settings.cosine,
+    )  # fmt: skip
 
 
-def _solve(
+def _alternate(
+    surface: Surface,
+    placed: Placed,
     free: Array,
-    model: Array,
-    pairs: Pairs,
-    scan: Scan,
-    coupling: EdgeCoupling,
-    noise_m: float,
+    problem: Quadratic,
+    priors: Sequence[Term],
     settings: CoupledSettings,
-) -> Array:
-    """Minimise over offsets from the model: data + edges + loose tie."""
-    v = len(free)
-    w = GemanMcClure(settings.sigma_m).weight(pairs.squared, pairs.kept) / noise_m**2
-    used = np.flatnonzero(w)
-    t, b, w = pairs.triangle[used], pairs.barycentric[used], w[used]
-    target = scan.points[used] - np.einsum("mk,mka->ma", b, model[t]) - pairs.shift[used]
-    n = pairs.normal[used]
-    rows = np.repeat(np.arange(len(used)), 9)
-    columns = (3 * t[:, :, None] + np.arange(3)).ravel()
-    values = (b[:, :, None] * n[:, None, :]).ravel()
-    A = sparse.csr_matrix((values, (rows, columns)), (len(used), 3 * v))
-    B = sparse.csr_matrix((b.ravel(), (np.repeat(np.arange(len(used)), 3), t.ravel())),
-                          (len(used), v))  # fmt: skip
-    tie = coupling.laplacian / coupling.sd_m**2 + sparse.eye(v) / settings.offset_sd_m**2
-    tie = tie + settings.tangential * (B.T @ sparse.diags(w) @ B)
-    K = sparse.csc_matrix(A.T @ sparse.diags(w) @ A + sparse.kron(tie, sparse.eye(3)))
-    right = A.T @ (w * np.sum(target * n, axis=1))
-    right += settings.tangential * (B.T @ (w[:, None] * target)).ravel()
-    offset = _solution(K, right, (free - model).ravel())
-    return model + offset.reshape(-1, 3)
-
-
-def _solution(K: sparse.csc_matrix, right: Array, guess: Array) -> Array:
-    """Direct for hands, Jacobi-preconditioned conjugate gradients for bodies."""
-    if len(right) <= 3 * DIRECT_VERTICES * 2:
-        factor = linalg.splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        return np.asarray(factor.solve(right))
-    inverse = sparse.diags(1 / K.diagonal())
-    return np.asarray(linalg.cg(K, right, x0=guess, rtol=1e-3, maxiter=400, M=inverse)[0])
-
-
-def _follow(placed: Placed, free: Array, coupling: EdgeCoupling, priors: Sequence[Term]) -> Placed:
-    """One Gauss-Newton step of the parameters towards the free mesh; translation by the mean."""
-    hessian, gradient = coupling.model_equations(free, placed)
+) -> tuple[Array, Placed]:
+    """Solve for the mesh beside the model, and for the linear model beside the mesh, in turn."""
+    coupling = edge_coupling(surface, settings.edge_sd_m, settings.offset_sd_m)
+    hessian, pull = coupling.model_equations(placed)
+    slope = np.zeros(surface.n)
     for term in priors:
         for block in term.blocks(placed, term.match(placed)):
             hessian += block.rows.T @ (block.weight[:, None] * block.rows)
-            gradient += block.rows.T @ (block.weight * block.residual)
-    at = np.arange(placed.surface.translation.start, placed.surface.translation.stop)
-    hessian[at, at] += hessian.diagonal().max()  # edges cannot see translation
-    step = -np.linalg.solve(hessian + 1e-9 * np.diag(hessian.diagonal()), gradient)
-    step[at] = 0
-    x = placed.x + step
-    moved = placed.surface.at(x)
-    x = x.copy()
-    x[at] += (free - moved.vertices).mean(axis=0)
-    return placed.surface.at(x)
+            slope += block.rows.T @ (block.weight * block.residual)
+    hessian += 1e-9 * np.diag(hessian.diagonal())
+    step, model = np.zeros(surface.n), placed.vertices
+    for _ in range(settings.follow):
+        free = problem.solve(model, free, TOLERANCE_M)
+        right = np.tensordot(pull, free - placed.vertices, 2) - slope
+        step = np.linalg.solve(hessian, right)
+        model = placed.vertices + placed.jacobian @ step
+    return free, surface.at(placed.x + step)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from synthgen.models import BodyModel
 from synthgen.registration import coarse
 from synthgen.registration.coarse_model import CoarseModel, Single, Starts
+from synthgen.registration.patches import patches_of
 from synthgen.registration.prior import HandPrior
 from synthgen.registration.scan import Scan
 from synthgen.registration.schedule import (
@@ -181,11 +182,12 @@ class Search:
 def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
     """Run the finishing stages; give up after the first if it explains too little."""
     log: list[dict[str, Any]] = []
-    noise = None
+    noise, inflation = None, 1.0
     outcome: Outcome | None = None
     for k, stage in enumerate(settings.preset.finish):
         if settings.preset.own_noise and noise is not None and stage.points >= FINAL.points:
             stage = last_stage(stage, noise)
+            stage = replace(stage, n_eff=stage.n_eff / inflation)
         began = time.process_time()
         visible = None
         if scan.viewpoints is not None and stage.mesh_to_scan > 0:
@@ -202,11 +204,21 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
             if early < EARLY:
                 return Candidate(x, source, early, stages=log)
         noise = own_noise(outcome)
+        if stage.points >= FINAL.points and k + 1 < len(settings.preset.finish):
+            inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
     hessian = _information(settings, scan, outcome, stage)
-    found = statistics(outcome.trial.placed, scan, hessian, settings.curved)
+    found = statistics(outcome.trial.placed, scan, hessian, settings.curved, inflation)
     verdict = judge(found, x[settings.surface.shape])
     return Candidate(x, source, early, found, verdict, hessian, log)
+
+
+def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -> float:
+    """Return how many times too sure of itself the next stage would be, if the model misfits."""
+    pairs = outcome.trial.matches[0]
+    n = len(pairs.squared)
+    found = patches_of(outcome.trial.placed, pairs, scan.points[:n], scan.normals[:n], noise_m)
+    return following.n_eff / found.effective(following.n_eff)
 
 
 def _information(settings: Settings, scan: Scan, outcome: Outcome, stage: Stage) -> Array:

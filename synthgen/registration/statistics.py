@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from synthgen.models import BodyModel
 from synthgen.models.joints import FINGERS
+from synthgen.registration.patches import patches_of
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed
 from synthgen.registration.terms import closest
@@ -51,12 +52,16 @@ class Statistics:
     ratio : float
         Worst part's p95 over the global median, 1 for normal noise, less 2.5 standard errors of
         that quantile (small parts have few points).
+    biased : (6,)
+        Share of a part's patches whose mean residual is no noise; NaN where it has few.
     coverage : (6,)
         Share of a part's vertices with a scan point within 2.5 mm that faces alike.
     sd_m : (V,)
         Predicted standard deviation of each vertex.
     sd95_m : (6,)
         Its 95 % quantile by part.
+    inflation : float
+        How much less the points tell, because the model misfits: a factor of variances.
     """
 
     explained: float
@@ -68,9 +73,11 @@ class Statistics:
     unexplained: Array
     p95_m: Array
     ratio: float
+    biased: Array
     coverage: Array
     sd_m: Array
     sd95_m: Array
+    inflation: float = 1.0
 
     @property
     def worst_unexplained(self) -> float:
@@ -93,6 +100,7 @@ class Statistics:
             part: {
                 "unexplained": _number(self.unexplained[k]),
                 "p95_mm": _number(1e3 * self.p95_m[k]),
+                "biased_patches": _number(self.biased[k]),
                 "coverage": _number(self.coverage[k]),
                 "predicted_sd95_mm": _number(1e3 * self.sd95_m[k]),
             }
@@ -125,7 +133,9 @@ def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
     return np.where(joint == 0, 0, (joint + 2) // 3)
 
 
-def statistics(placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0) -> Statistics:
+def statistics(
+    placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0, inflation: float = 1.0
+) -> Statistics:
     """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage."""
     points, normals = scan.points[-EVALUATED:], scan.normals[-EVALUATED:]
     pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved)
@@ -151,6 +161,7 @@ def statistics(placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0) 
     covered = coverage(placed, scan)
     sd = predicted_sd(placed, hessian)
     by_vertex = part_of_vertex(placed.surface.model)
+    patches = patches_of(placed, pairs, points, normals, noise)
     return Statistics(
         explained=float((~bad)[near].mean()) if near.any() else 0.0,
         far=float((~near & ~pairs.rim).mean()),
@@ -161,9 +172,11 @@ def statistics(placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0) 
         unexplained=unexplained,
         p95_m=p95,
         ratio=float(np.nanmax(ratios, initial=0.0)),
+        biased=patches.biased_share(by_vertex, len(PARTS)),
         coverage=np.array([covered[by_vertex == k].mean() for k in range(len(PARTS))]),
         sd_m=sd,
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
+        inflation=inflation,
     )
 
 

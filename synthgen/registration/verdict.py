@@ -31,6 +31,9 @@ REASONS = (
 UNEXPLAINED, RATIO, EXPLAINED = 0.035, 1.17, 0.95
 # Where the model misfits (detail it cannot express), residuals are no longer like noise.
 MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
+# Biased patches of a part that is right are chance (6e-5) and the fit's own small errors; where the
+# whole hand is biased, the model misfits everywhere and no part stands out.
+BIASED, BIASED_RATIO = 0.05, 5.0
 SD95_M, SD_PER_NOISE = 5e-4, 0.7
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 
@@ -49,9 +52,20 @@ class Judgement:
         return f"{self.reason}({', '.join(self.parts)})" if self.parts else self.reason
 
 
-def sd_limit_m(noise_m: float) -> float:
-    """Largest predicted vertex sd (95 %) of a pass; grows with the scan's noise."""
-    return max(SD95_M, SD_PER_NOISE * noise_m)
+def sd_limit_m(noise_m: float, inflation: float = 1.0) -> float:
+    """Largest predicted vertex sd (95 %) of a pass.
+
+    It grows with the scan's noise and with a misfit of the model: ``unobserved`` is about what the
+    scan shows, not about what the model lacks.
+    """
+    return float(max(SD95_M, SD_PER_NOISE * noise_m) * np.sqrt(inflation))
+
+
+def biased_parts(s: Statistics) -> tuple[str, ...]:
+    """Parts that lie off the scan by more than noise, while the rest of the hand does not."""
+    known = s.biased[np.isfinite(s.biased)]
+    limit = max(BIASED, BIASED_RATIO * float(np.median(known))) if len(known) else np.inf
+    return tuple(p for p, share in zip(PARTS, s.biased, strict=True) if share > limit)
 
 
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
@@ -73,9 +87,11 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     if s.ratio >= ratio:
         worst = PARTS[int(np.nanargmax(np.nan_to_num(s.p95_m)))]
         return Judgement("fail", "finger_missed", (worst,))
+    if not misfit and (wrong := biased_parts(s)):
+        return Judgement("fail", "finger_missed", wrong)
     if np.abs(shape).max() > SHAPE_SD:
         return Judgement("fail", "shape_limit")
-    limit = sd_limit_m(s.noise_m)
+    limit = sd_limit_m(s.noise_m, s.inflation)
     if s.sd95_all_m > limit:
         hidden = tuple(p for p, sd in zip(PARTS, s.sd95_m, strict=True) if sd > limit)
         return Judgement("unobserved", "hole", hidden)

@@ -32,12 +32,16 @@ def test_reference_model_equations_are_the_gradient() -> None:
     s, h = surface(), 1e-6
     coupling = edge_coupling(s, 1e-3)
     x = truth()
-    free = s.at(x).vertices + rng("free").normal(0, 1e-3, (s.n_vertices, 3))
-    hessian, gradient = coupling.model_equations(free, s.at(x))
+    placed = s.at(x)
+    free = placed.vertices + rng("free").normal(0, 1e-3, (s.n_vertices, 3))
+    hessian, pull = coupling.model_equations(placed)
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-6, atol=1e-3)
+    gradient = np.tensordot(pull, placed.vertices - free, 2)
 
     def cost(y: np.ndarray) -> float:
-        return float(np.sum(coupling.residual(free, s.at(y).vertices) ** 2))
+        model = s.at(y).vertices
+        tie = np.sum((free - model) ** 2) / coupling.offset_sd_m**2
+        return float(np.sum(coupling.residual(free, model) ** 2) + tie)
 
     for k in (0, 5, 12, 20, 40):
         step = np.zeros(s.n)

@@ -21,6 +21,7 @@ GOOD = Statistics(
     unexplained=np.full(6, 0.01),
     p95_m=np.full(6, 4e-4),
     ratio=1.0,
+    biased=np.zeros(6),
     coverage=np.full(6, 0.7),
     sd_m=np.full(100, 1e-4),
     sd95_m=np.full(6, 1e-4),
@@ -44,6 +45,10 @@ def one_bad(*parts: str) -> np.ndarray:
         ({"unexplained": one_bad("ring", "pinky", "palm")}, "fail", "cold_start_failed"),
         ({"ratio": 1.3}, "fail", "finger_missed"),
         ({"ratio": 1.3, "noise_m": 4e-4}, "pass", ""),
+        ({"biased": one_bad("middle")}, "fail", "finger_missed(middle)"),
+        ({"biased": np.full(6, 0.4)}, "pass", ""),
+        ({"biased": one_bad("middle"), "noise_m": 4e-4}, "pass", ""),
+        ({"biased": np.full(6, np.nan)}, "pass", ""),
         ({"sd_m": np.full(100, 2e-3), "sd95_m": np.array([0, 0, 0, 2e-3, 0, 0])}, "unobserved",
          "hole(pinky)"),
     ],
@@ -62,6 +67,7 @@ def test_reference_extreme_shape() -> None:
 def test_properties_limit_grows_with_noise() -> None:
     assert sd_limit_m(2e-4) == sd_limit_m(1e-4)
     assert sd_limit_m(2e-3) > sd_limit_m(1e-3)
+    assert sd_limit_m(2e-4, inflation=9.0) == 3 * sd_limit_m(2e-4)
 
 
 def test_smoke_json_is_json() -> None:
