@@ -53,7 +53,7 @@ def extract(field: Field, least_faces: int, fill: float = 0.0) -> Mesh:
     vertices, faces, _, _ = cubes(filled, 0.0, allow_degenerate=False)
     cube = np.floor(vertices[faces].mean(axis=1)).astype(np.int64)
     faces = faces[whole[cube[:, 0], cube[:, 1], cube[:, 2]]].astype(np.int64)
-    faces = _large_pieces(faces, len(vertices), least_faces)
+    faces = large_pieces(faces, len(vertices), least_faces)
     if not len(faces):
         raise ScanError(
             f"the scan is empty: no piece of surface has {least_faces} faces; use a smaller voxel "
@@ -70,7 +70,8 @@ def _cut(values: NDArray[np.bool_], axis: int, side: int) -> NDArray[np.bool_]:
     return np.asarray(values[tuple(cut)])
 
 
-def _large_pieces(faces: NDArray[np.int64], n: int, least: int) -> NDArray[np.int64]:
+def large_pieces(faces: NDArray[np.int64], n: int, least: int) -> NDArray[np.int64]:
+    """Return the faces, over n vertices, of connected pieces that have at least ``least``."""
     if not len(faces):
         return faces
     piece = pieces(faces, n)[faces[:, 0]]

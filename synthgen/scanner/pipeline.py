@@ -28,6 +28,7 @@ from synthgen.scanner.rig import Rig, Unit, scaled
 from synthgen.scanner.settings import ScanSettings, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
+from synthgen.scanner.support import cut_unsupported
 from synthgen.scanner.tsdf import fuse
 from synthgen.scanner.white import expose_colour
 
@@ -100,6 +101,8 @@ def assemble(
     try:
         field = fuse(grids, settings.fusion)
         vertices, faces = extract(field, settings.fusion.least_faces, settings.fill_voxels)
+        if not settings.fill_voxels:
+            vertices, faces = cut_unsupported(vertices, faces, grids, settings.fusion)
     except ScanError as error:
         why = "; ".join(f"unit {u.ident}: {u.problem}" for u in units if u.problem)
         return empty_scan(units, level, f"{error}. {why}" if why else str(error))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -15,6 +17,7 @@ from synthgen.scanner.isosurface import extract
 from synthgen.scanner.provenance import measured_by, truth_of
 from synthgen.scanner.range_grid import bridged
 from synthgen.scanner.subject import scene_of
+from synthgen.scanner.support import cut_unsupported
 from synthgen.scanner.tsdf import BRICK, Field, FusionSettings, fuse
 
 RADIUS = 0.02
@@ -63,6 +66,46 @@ def test_properties_real_holes_stay_open(front: list[Any]) -> None:
     filled, more = extract(field, 200, fill=4.0)
     assert len(more) > len(faces)
     assert np.linalg.norm(filled, axis=1).max() < 2 * RADIUS
+
+
+def test_properties_what_no_pair_sees_squarely_is_cut_off(front: list[Any]) -> None:
+    """On a ball the angle to each eye is known: nothing stays beyond it, nothing is missing."""
+    vertices, faces = extract(fuse(front, SETTINGS), 200)
+    kept, _ = cut_unsupported(vertices, faces, front, SETTINGS)
+    assert len(kept) < len(vertices)
+    squarely = _squarely(kept, front)
+    assert squarely.min() > SETTINGS.facing - 0.1, "a rim vertex has faces on one side only"
+    lost = ~np.isin(vertices[:, 0], kept[:, 0])
+    inner = _squarely(vertices, front) > SETTINGS.facing + 0.15
+    assert not (lost & inner).any()
+    all_of_it = replace(SETTINGS, facing=-1.0)
+    wide, _ = cut_unsupported(vertices, faces, front, all_of_it)
+    assert len(kept) < len(wide) < len(vertices), "beyond the outermost samples nothing is known"
+    with pytest.raises(ScanError, match="at a cosine above 1"):
+        cut_unsupported(vertices, faces, front, replace(SETTINGS, facing=1.0))
+
+
+def _squarely(points: Any, grids: list[Any]) -> Any:
+    """Cosine (n,) on the ball to the worse eye of the better pair, from where the eyes stand."""
+    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    found = []
+    for grid in grids:
+        right = grid.camera.position + grid.baseline_m * grid.camera.T[:3, 0]
+        sights = [eye - points for eye in (grid.camera.position, right)]
+        found.append(np.min([np.einsum("nk,nk->n", s, normals) / np.linalg.norm(s, axis=1)
+                             for s in sights], axis=0))  # fmt: skip
+    return np.max(found, axis=0)
+
+
+def test_properties_samples_near_an_edge_count_less(front: list[Any]) -> None:
+    trust = front[0].trust
+    known = front[0].known
+    assert trust[~known].max() == 0
+    assert trust[known].min() > 0
+    inner = cv2.erode(known.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
+    assert (trust[inner] == 1).all()
+    rim = known & ~(cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    assert np.median(trust[rim]) < 0.5
 
 
 def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) -> None:
