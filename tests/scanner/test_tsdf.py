@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -9,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 from speckle import Sphere, ring_of_grids
 
 from synthgen.errors import ScanError
 from synthgen.geometry.topology import boundary_edges
+from synthgen.scanner import tsdf
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.provenance import measured_by, truth_of
 from synthgen.scanner.range_grid import bridged
@@ -127,18 +130,61 @@ def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) 
 def test_properties_same_grids_same_bytes(front: list[Any]) -> None:
     a, b = (fuse(front, SETTINGS) for _ in range(2))
     assert a.distance_m.tobytes() == b.distance_m.tobytes()
-    assert all(n % BRICK == 0 for n in a.distance_m.shape)
+    assert a.distance_m.shape[1:] == (BRICK,) * 3
+    assert (np.diff((a.bricks * [10**8, 10**4, 1]).sum(axis=1)) > 0).all(), "lattice order"
 
 
-def test_edge_empty(front: list[Any]) -> None:
+@pytest.mark.parametrize("fill", [0.0, 4.0])
+def test_reference_slabs_give_the_surface_of_the_whole_box(front: list[Any], fill: float) -> None:
+    field = fuse(front, SETTINGS)
+    whole, faces = extract(field, 200, fill, slab=10**9)
+    thin, pieces = extract(field, 200, fill, slab=1)
+    assert len(thin) == len(whole)
+    away, row = cKDTree(whole).query(thin)
+    assert away.max() < 1e-4 * SETTINGS.voxel_m
+    assert turned(row[pieces]) == turned(faces)
+
+
+def turned(faces: Any) -> set[tuple[int, ...]]:
+    """Triangles, each with its smallest vertex first."""
+    return {tuple(np.roll(face, -int(face.argmin())).tolist()) for face in faces}
+
+
+def test_properties_memory_follows_the_surface_not_the_box() -> None:
+    """Two balls a metre apart: a box of 20 million voxels, of which few are laid out."""
+    near = ring_of_grids(BALL, [0], [0])
+    far = [moved_grid(near[0], np.array([1.0, 0.1, 0.1]))]
+    tracemalloc.start()
+    field = fuse([*near, *far], SETTINGS)
+    vertices, _ = extract(field, 200)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.ptp(vertices[:, 0]) > 1
+    box = float(np.prod(field.shape))
+    assert box > 2e7
+    assert field.distance_m.size < 0.02 * box
+    assert peak < 4 * box, "a dense box takes 20 bytes a voxel"
+
+
+def moved_grid(grid: Any, shift: Any) -> Any:
+    """Return the grid of the same surface and camera, both moved."""
+    T = grid.camera.T
+    T[:3, 3] += shift
+    rows = tuple(tuple(float(v) for v in row) for row in T)
+    return replace(grid, camera=replace(grid.camera, T_world_from_camera=rows))
+
+
+def test_edge_empty(front: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ScanError, match="no unit measured"):
         fuse(ring_of_grids(Sphere(1e-5), [0], [0]), SETTINGS)
-    with pytest.raises(ScanError, match="larger voxel"):
-        fuse(front, FusionSettings(voxel_m=2e-5))
     with pytest.raises(ScanError, match="do not form a surface"):
-        extract(Field(np.zeros(3), 0.001, np.full((8, 8, 8), np.nan, np.float32)), 1)
+        nothing = np.full((1, BRICK, BRICK, BRICK), np.nan, np.float32)
+        extract(Field(np.zeros(3), 0.001, np.zeros((1, 3), np.int64), nothing), 1)
     with pytest.raises(ScanError, match="no piece"):
         extract(fuse(front, SETTINGS), 10**6)
+    monkeypatch.setattr(tsdf, "MOST_VOXELS", 10_000)
+    with pytest.raises(ScanError, match="larger voxel"):
+        fuse(front, SETTINGS)
 
 
 def test_properties_small_gaps_are_bridged_and_wide_ones_stay() -> None:
