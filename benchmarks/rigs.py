@@ -36,8 +36,7 @@ def run() -> dict[str, Any]:
 def subject(name: str, rig: Any) -> Any:
     """Return what stands before a rig."""
     from synthgen.models import load
-    from synthgen.scanner import CropPlane
-    from synthgen.scanner.body import body_scene, centred, standing
+    from synthgen.scanner import CropPlane, body_scene, centred, standing
 
     body = load("cc0-body" if name == "body22" else "cc0-supr")
     joint = dict(zip(body.joint_names, body.evaluate(
