@@ -159,8 +159,9 @@ Config hash `{manifest["config_hash"]}`, variant `{manifest["variant"]}`.
 With the same config, seed and versions every byte comes out again.
 
 Columns are tars of equal keys (`image`, `depth`, `labels`, `meta`, where asked `exr`, `scan`,
-`stereo`). Units: metres, radians. Camera: OpenCV axes, integer pixel centres. Pose: axis-angle, mean included;
-left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1 mm, 0 = none.
+`stereo`). Units: metres, radians. Camera: OpenCV axes, integer pixel centres. Pose: axis-angle,
+mean included; left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1 mm,
+0 = none.
 
 Hands of the `cc0-hand` model are CC0. Parameters and vertices of licensed models (MANO and
 others) fall under those models' licences: fields `spec.scene.subjects` and `keypoints_3d_m`.
