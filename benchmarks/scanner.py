@@ -287,12 +287,13 @@ def hand() -> list[Row]:
     """T7: a flat hand without added errors: pairs, fusion, holes, time."""
     from synthgen.sampling import stream
     from synthgen.scanner import Effects, ScanScene
-    from synthgen.scanner.evaluate import coverage, pair_figures, seen_by_pairs
+    from synthgen.scanner.evaluate import coverage, pair_figures, seen_by_pairs, surface_samples
     from synthgen.scanner.match import BEST
     from synthgen.scanner.pipeline import assemble, measure
     from synthgen.scanner.stage import prepare
 
-    rig, solid = _rig(), _hand().solid
+    rig, held = _rig(), _hand()
+    solid = held.solid
     scene, effects = ScanScene((solid,)), Effects(**MATTE)
     stage = prepare(scene, rig, rng=stream(0, "sample", 0, 0, "b"), effects=effects)
     parts = [measure(stage, unit, "full", _settings(rig)) for unit in rig.units]
@@ -301,9 +302,10 @@ def hand() -> list[Row]:
     best = measure(stage, rig.unit(facing.unit.ident), "full", _settings(rig, match=BEST))
     b = pair_figures(best.unit)
     found = assemble(parts, scene, "full", _settings(rig))
-    pick = np.arange(0, len(solid.vertices), 3)
-    points, normals = solid.vertices[pick], solid.normals[pick]
-    seen, invented = coverage(found, points, seen_by_pairs(stage, rig.units, points, normals), 1e-3)
+    skin = solid.faces[held.source >= 0][::3]
+    points, normals, areas = surface_samples(solid.vertices, skin)
+    known = seen_by_pairs(stage, rig.units, points, normals)
+    seen, invented = coverage(found, points, areas, known, 1e-3)
     error = 1e3 * found.provenance["error_m"]
     _pictures(found, "hand_exact")
     return [

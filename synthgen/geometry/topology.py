@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from synthgen.errors import ShapeError
 
@@ -51,3 +53,11 @@ def boundary_edges(faces: NDArray[Any]) -> NDArray[np.int64]:
     back = np.sort(there % n * n + there // n)
     open_ = there[~np.isin(there, back, assume_unique=True)]
     return np.stack([open_ // n, open_ % n], axis=1)
+
+
+def pieces(faces: NDArray[Any], n: int) -> NDArray[np.int64]:
+    """Return for each of n vertices the number of the connected piece of faces (F, 3) it is in."""
+    f = np.asarray(faces, dtype=np.int64)
+    a, b = np.concatenate([f[:, [0, 1]], f[:, [1, 2]]]).T
+    graph = sparse.coo_matrix((np.ones(len(a), bool), (a, b)), (n, n))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)

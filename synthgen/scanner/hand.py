@@ -39,12 +39,15 @@ class HandSolid:
     drawn : DrawnSurface
     source : (F,) int64
         Drawn face of each of the solid's faces, -1 on the cap.
+    corners : (F, 3, 3) float64
+        Barycentrics of its corners there: the identity but along the cut.
     joints : (K, 3) float64
     """
 
     solid: Solid
     drawn: DrawnSurface
     source: NDArray[np.int64]
+    corners: Array
     joints: Array
 
     @property
@@ -60,7 +63,8 @@ class HandSolid:
         Faces beyond the model's own are the arm's.
         """
         drawn = self.source[face]
-        parent, inside = self.drawn.parent(np.maximum(drawn, 0), barycentric)
+        whole = np.einsum("ni,nij->nj", barycentric, self.corners[face])
+        parent, inside = self.drawn.parent(np.maximum(drawn, 0), whole)
         return np.where(drawn >= 0, parent, -1).astype(np.int32), inside.astype(np.float32)
 
 
@@ -89,11 +93,12 @@ def hand_solid(
     whole = drawn.refine(points, relief_of(model, subject.skin, pose))
     rgb = vertex_colours(model, drawn, subject)
     stacked = np.concatenate([whole, rgb], axis=1)
-    vertices, faces, source = cut_and_cap(stacked, drawn.refined_faces, plane)
-    place, colours = np.ascontiguousarray(vertices[:, :3]), vertices[:, 3:]
+    cut = cut_and_cap(stacked, drawn.refined_faces, plane)
+    place, colours = np.ascontiguousarray(cut.vertices[:, :3]), cut.vertices[:, 3:]
     look = replace(surface, albedo=float(np.median(colours @ _LUMINANCE)))
-    solid = Solid(place, faces, vertex_normals(place, faces), look, "subject", None, colours)
-    return HandSolid(solid, drawn, source, joints)
+    normals = vertex_normals(place, cut.faces)
+    solid = Solid(place, cut.faces, normals, look, "subject", None, colours)
+    return HandSolid(solid, drawn, cut.source, cut.corners, joints)
 
 
 def vertex_colours(model: ManoModel, drawn: DrawnSurface, subject: HandSubject) -> Array:

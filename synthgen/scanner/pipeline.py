@@ -30,6 +30,7 @@ from synthgen.scanner.rows import find_row_offset
 from synthgen.scanner.settings import ScanSettings, check_level, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
+from synthgen.scanner.support import cut_unsupported
 from synthgen.scanner.tsdf import fuse
 from synthgen.scanner.white import expose_colour
 
@@ -111,6 +112,8 @@ def assemble(
     try:
         field = fuse(grids, settings.fusion)
         vertices, faces = extract(field, settings.fusion.least_faces, settings.fill_voxels)
+        if not settings.fill_voxels:
+            vertices, faces = cut_unsupported(vertices, faces, grids, settings.fusion)
     except ScanError as error:
         why = "; ".join(u.problem for u in units if u.problem)
         return empty_scan(units, level, f"{error}. {why}" if why else str(error))

@@ -1,4 +1,4 @@
-"""From disparities to a grid of oriented points, with what looks like an edge removed."""
+"""From disparities to a grid of oriented points, of which those near an edge count less."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt
 
 from synthgen.geometry.cameras import Camera, to_camera, to_world
 from synthgen.geometry.normals import unit
@@ -22,7 +23,7 @@ _LEAST_DIRECTIONS = 3
 
 @dataclass(frozen=True)
 class GridSettings:
-    """What a range grid keeps; these are what keeps holes open and edges clean.
+    """What a range grid keeps, and how much each sample of it counts.
 
     Attributes
     ----------
@@ -33,17 +34,22 @@ class GridSettings:
         twice this many samples stays open.
     erode : int
         Samples removed along the border of what was matched.
+    soft : int
+        How many samples from the border a sample counts fully; nearer to it, where its window
+        reaches over the edge, it counts by the square of the share. The five outermost rings of a
+        hand have errors of 0.15, 0.07, 0.04, 0.03 and 0.025 mm.
     facing : float
-        Least cosine between the surface and the line of sight.
+        Least cosine between the surface and both lines of sight.
     """
 
     jump_px: float = 0.7
     bridge: int = 2
-    erode: int = 1
+    erode: int = 0
+    soft: int = 5
     facing: float = 0.25
 
 
-ROUGH = GridSettings(jump_px=2.0, bridge=0, erode=0, facing=0.1)
+ROUGH = GridSettings(jump_px=2.0, bridge=0, soft=1, facing=0.1)
 """Keeps ragged edges and some webbing between fingers, as raw scans have them."""
 
 
@@ -56,6 +62,8 @@ class RangeGrid:
     camera : Camera
         The rectified left view, moved to where it seems to stand where it looks through glass;
         points and normals are in its frame, and nearly project to their own samples.
+    baseline_m : float
+        From the camera to the pair's other eye, along the camera's x axis.
     step : int
         Pixels between samples.
     points : (h, w, 3) float64
@@ -63,17 +71,21 @@ class RangeGrid:
     normals : (h, w, 3) float64
         Unit, towards the camera; NaN with the points.
     facing : (h, w) float64
-        Cosine of normal and line of sight.
+        Cosine between the normal and the line of sight of that eye which sees it less squarely.
+    trust : (h, w) float64
+        What a sample counts by its distance from the border of what was matched, 0..1.
     sigma_m : (h, w) float64
         Standard error of the depth.
     correlation : (h, w) float32
     """
 
     camera: Camera
+    baseline_m: float
     step: int
     points: Array
     normals: Array
     facing: Array
+    trust: Array
     sigma_m: Array
     correlation: NDArray[np.float32]
 
@@ -104,38 +116,54 @@ def range_grid(
 ) -> RangeGrid:
     """Triangulate and filter one unit's disparities; ``glass`` is what it may look through."""
     limits = settings or GridSettings()
-    disparity = _without_edges(grid.disparity, limits).astype(np.float64)
+    disparity = _calm(grid.disparity, limits).astype(np.float64)
     sigma = bridged(grid.sigma, limits.bridge)
     rows, columns = np.indices(disparity.shape) * np.int64(grid.step)
     world = triangulate(pair, columns, rows, disparity, glass)
     camera = _seeming(pair.camera, world, glass)
     points = to_camera(camera, world)
-    normals = _normals(points)
-    sight = unit(np.nan_to_num(-points))
-    facing = np.einsum("hwk,hwk->hw", normals, sight)
-    keep = np.isfinite(facing) & (facing > limits.facing)
+    normals = _normals(points)  # of all that is known: what is cut off next still tells the tilt
+    ring = _rings(np.isfinite(disparity))
+    facing = least_facing(points, normals, pair.baseline_m)
+    keep = np.isfinite(facing) & (facing > limits.facing) & (ring > limits.erode)
     per_px = points[..., 2] ** 2 / (pair.camera.fx * pair.baseline_m)
     return RangeGrid(
         camera=camera,
+        baseline_m=pair.baseline_m,
         step=grid.step,
         points=np.where(keep[..., None], points, np.nan),
         normals=np.where(keep[..., None], normals, np.nan),
         facing=np.where(keep, facing, np.nan),
+        trust=np.where(keep, np.minimum(ring / max(limits.soft, 1), 1) ** 2, 0),
         sigma_m=np.where(keep, sigma * per_px, np.nan),
         correlation=grid.correlation,
     )
 
 
-def _without_edges(disparity: NDArray[np.float32], limits: GridSettings) -> NDArray[np.float32]:
+def least_facing(points: Array, normals: Array, baseline_m: float) -> Array:
+    """Cosine (...) of normals with the line of sight of the less squarely looking eye of a pair.
+
+    ``points`` and ``normals`` (..., 3) are in the frame of the first eye, the other is on its x
+    axis. A pair measures only what both see.
+    """
+    at = np.nan_to_num(points)
+    eyes = np.zeros(3), np.array([baseline_m, 0.0, 0.0])
+    one, two = (np.einsum("...k,...k->...", normals, unit(eye - at)) for eye in eyes)
+    return np.asarray(np.minimum(one, two))
+
+
+def _calm(disparity: NDArray[np.float32], limits: GridSettings) -> NDArray[np.float32]:
+    """Drop what its neighbours contradict and bridge small gaps."""
     known = np.isfinite(disparity)
     median = cv2.medianBlur(np.where(known, disparity, -999).astype(np.float32), 5)
     calm = known & (np.abs(np.nan_to_num(disparity) - median) <= limits.jump_px)
-    whole = bridged(np.where(calm, disparity, np.nan).astype(np.float32), limits.bridge)
-    if limits.erode:
-        n = 2 * limits.erode + 1
-        inner = cv2.erode(np.isfinite(whole).astype(np.uint8), np.ones((n, n), np.uint8)) > 0
-        whole = np.where(inner, whole, np.nan).astype(np.float32)
-    return whole
+    return bridged(np.where(calm, disparity, np.nan).astype(np.float32), limits.bridge)
+
+
+def _rings(known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number (h, w) of each sample's ring from the border inwards, from 1; 0 unknown."""
+    wide = np.pad(known, 1)
+    return np.asarray(distance_transform_cdt(wide, "chessboard")[1:-1, 1:-1], np.int64)
 
 
 def bridged(values: NDArray[np.float32], passes: int) -> NDArray[np.float32]:

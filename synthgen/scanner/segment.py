@@ -35,10 +35,14 @@ class CropPlane:
 
     def keeps(self, points: NDArray[Any]) -> NDArray[np.bool_]:
         """Tell which points (n, 3) stay."""
+        return np.asarray(self.side(points) >= 0)
+
+    def side(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the distances (n,) of points (n, 3) from the plane, positive where kept."""
         direction = unit(np.array(self.normal, np.float64))
         if not np.any(direction):
             raise ShapeError(f"the crop plane's normal {self.normal} has no direction")
-        return np.asarray((np.asarray(points) - np.array(self.point_m)) @ direction >= 0)
+        return np.asarray((np.asarray(points) - np.array(self.point_m)) @ direction)
 
 
 def wrist_plane(joints: NDArray[Any], beyond_m: float = 0.0) -> CropPlane:

@@ -8,7 +8,7 @@ import trimesh
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.normals import vertex_normals
-from synthgen.geometry.topology import boundary_edges, boundary_loops
+from synthgen.geometry.topology import boundary_edges, boundary_loops, pieces
 
 
 def test_reference_open_tube() -> None:
@@ -46,3 +46,10 @@ def test_reference_edges_one_by_one() -> None:
         expected = sorted((a, b) for a, b in pairs if (b, a) not in pairs)
         assert boundary_edges(faces).tolist() == [list(pair) for pair in expected]
     assert boundary_edges(np.zeros((0, 3), int)).shape == (0, 2)
+
+
+def test_properties_pieces() -> None:
+    faces = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]])
+    piece = pieces(faces, 8)
+    assert len(set(piece[:4])) == len(set(piece[4:7])) == 1
+    assert len({piece[0], piece[4], piece[7]}) == 3

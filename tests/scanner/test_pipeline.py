@@ -13,7 +13,13 @@ import trimesh
 from synthgen.errors import ConfigError, ScanError, ShapeError
 from synthgen.sampling.streams import stream
 from synthgen.scanner import Scan, load_rig, scan, settings_for
-from synthgen.scanner.evaluate import coverage, pair_figures, predicted_sigma, seen_by_pairs
+from synthgen.scanner.evaluate import (
+    coverage,
+    pair_figures,
+    predicted_sigma,
+    seen_by_pairs,
+    surface_samples,
+)
 from synthgen.scanner.match import FAST
 from synthgen.scanner.pipeline import disparity_bounds
 from synthgen.scanner.rectify import rectify
@@ -85,14 +91,19 @@ def test_properties_level_model_takes_no_pictures(full: Scan) -> None:
 
 
 def test_properties_coverage_counts_what_is_there(full: Scan) -> None:
-    points, normals = np.asarray(BALL.vertices), np.asarray(BALL.vertex_normals)
+    points, normals, areas = surface_samples(np.asarray(BALL.vertices), np.asarray(BALL.faces))
+    assert areas.sum() == pytest.approx(BALL.area)
+    assert normals == pytest.approx(BALL.face_normals, abs=1e-6)
     rig = load_rig("mini")
     stage = prepare(BALL, rig, rng=stream(0, "sample", 0, 0, "stage"))
     seen = seen_by_pairs(stage, rig.units, points, normals)
     assert 0.3 < seen.mean() < 0.8
-    there, invented = coverage(full, points, seen, 0.002)
+    there, invented = coverage(full, points, areas, seen, 0.002)
     assert there > 0.8
-    assert invented < 0.3
+    assert invented < 0.2
+    half = np.where(points[:, 1] > 0, areas, 0)
+    assert coverage(full, points, half, seen, 0.002)[0] != there
+    assert coverage(full, points, areas, np.ones_like(seen), 10.0) == (1.0, 0.0)
 
 
 def test_reference_predicted_sigma_of_a_ramp() -> None:

@@ -21,11 +21,8 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize("case", rigs.RUNS, ids=lambda case: case[0])
-def test_smoke_mesh_to_scan(
-    case: tuple[str, float, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rigs, "PICTURES", tmp_path)
-    name, _, voxel_mm, units, vertices, rms, p99, seen, _, _ = rigs._row(*case)
+def test_smoke_mesh_to_scan(case: tuple[str, float, float], tmp_path: Path) -> None:
+    name, _, voxel_mm, units, vertices, rms, p99, seen, _, _ = rigs.row(*case, tmp_path)
     working, of = (int(n) for n in units.split("/"))
     most_rms, most_p99, least_seen, fewest = BOUNDS[name]
     assert working == of, "every unit measures something"

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 from speckle import Sphere, ring_of_grids
 
 from synthgen.errors import ScanError
 from synthgen.geometry.topology import boundary_edges
+from synthgen.scanner import tsdf
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.provenance import measured_by, truth_of
 from synthgen.scanner.range_grid import bridged
 from synthgen.scanner.subject import scene_of
+from synthgen.scanner.support import cut_unsupported
 from synthgen.scanner.tsdf import BRICK, Field, FusionSettings, fuse
 
 RADIUS = 0.02
@@ -65,6 +71,46 @@ def test_properties_real_holes_stay_open(front: list[Any]) -> None:
     assert np.linalg.norm(filled, axis=1).max() < 2 * RADIUS
 
 
+def test_properties_what_no_pair_sees_squarely_is_cut_off(front: list[Any]) -> None:
+    """On a ball the angle to each eye is known: nothing stays beyond it, nothing is missing."""
+    vertices, faces = extract(fuse(front, SETTINGS), 200)
+    kept, _ = cut_unsupported(vertices, faces, front, SETTINGS)
+    assert len(kept) < len(vertices)
+    squarely = _squarely(kept, front)
+    assert squarely.min() > SETTINGS.facing - 0.1, "a rim vertex has faces on one side only"
+    lost = ~np.isin(vertices[:, 0], kept[:, 0])
+    inner = _squarely(vertices, front) > SETTINGS.facing + 0.15
+    assert not (lost & inner).any()
+    all_of_it = replace(SETTINGS, facing=-1.0)
+    wide, _ = cut_unsupported(vertices, faces, front, all_of_it)
+    assert len(kept) < len(wide) < len(vertices), "beyond the outermost samples nothing is known"
+    with pytest.raises(ScanError, match="at a cosine above 1"):
+        cut_unsupported(vertices, faces, front, replace(SETTINGS, facing=1.0))
+
+
+def _squarely(points: Any, grids: list[Any]) -> Any:
+    """Cosine (n,) on the ball to the worse eye of the better pair, from where the eyes stand."""
+    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    found = []
+    for grid in grids:
+        right = grid.camera.position + grid.baseline_m * grid.camera.T[:3, 0]
+        sights = [eye - points for eye in (grid.camera.position, right)]
+        found.append(np.min([np.einsum("nk,nk->n", s, normals) / np.linalg.norm(s, axis=1)
+                             for s in sights], axis=0))  # fmt: skip
+    return np.max(found, axis=0)
+
+
+def test_properties_samples_near_an_edge_count_less(front: list[Any]) -> None:
+    trust = front[0].trust
+    known = front[0].known
+    assert trust[~known].max() == 0
+    assert trust[known].min() > 0
+    inner = cv2.erode(known.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
+    assert (trust[inner] == 1).all()
+    rim = known & ~(cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    assert np.median(trust[rim]) < 0.5
+
+
 def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) -> None:
     vertices, _ = extract(fuse(front, SETTINGS), 200)
     measured = measured_by(vertices, front, 0.003)
@@ -84,18 +130,61 @@ def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) 
 def test_properties_same_grids_same_bytes(front: list[Any]) -> None:
     a, b = (fuse(front, SETTINGS) for _ in range(2))
     assert a.distance_m.tobytes() == b.distance_m.tobytes()
-    assert all(n % BRICK == 0 for n in a.distance_m.shape)
+    assert a.distance_m.shape[1:] == (BRICK,) * 3
+    assert (np.diff((a.bricks * [10**8, 10**4, 1]).sum(axis=1)) > 0).all(), "lattice order"
 
 
-def test_edge_empty(front: list[Any]) -> None:
+@pytest.mark.parametrize("fill", [0.0, 4.0])
+def test_reference_slabs_give_the_surface_of_the_whole_box(front: list[Any], fill: float) -> None:
+    field = fuse(front, SETTINGS)
+    whole, faces = extract(field, 200, fill, slab=10**9)
+    thin, pieces = extract(field, 200, fill, slab=1)
+    assert len(thin) == len(whole)
+    away, row = cKDTree(whole).query(thin)
+    assert away.max() < 1e-4 * SETTINGS.voxel_m
+    assert turned(row[pieces]) == turned(faces)
+
+
+def turned(faces: Any) -> set[tuple[int, ...]]:
+    """Triangles, each with its smallest vertex first."""
+    return {tuple(np.roll(face, -int(face.argmin())).tolist()) for face in faces}
+
+
+def test_properties_memory_follows_the_surface_not_the_box() -> None:
+    """Two balls a metre apart: a box of 20 million voxels, of which few are laid out."""
+    near = ring_of_grids(BALL, [0], [0])
+    far = [moved_grid(near[0], np.array([1.0, 0.1, 0.1]))]
+    tracemalloc.start()
+    field = fuse([*near, *far], SETTINGS)
+    vertices, _ = extract(field, 200)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.ptp(vertices[:, 0]) > 1
+    box = float(np.prod(field.shape))
+    assert box > 2e7
+    assert field.distance_m.size < 0.02 * box
+    assert peak < 4 * box, "a dense box takes 20 bytes a voxel"
+
+
+def moved_grid(grid: Any, shift: Any) -> Any:
+    """Return the grid of the same surface and camera, both moved."""
+    T = grid.camera.T
+    T[:3, 3] += shift
+    rows = tuple(tuple(float(v) for v in row) for row in T)
+    return replace(grid, camera=replace(grid.camera, T_world_from_camera=rows))
+
+
+def test_edge_empty(front: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ScanError, match="no unit measured"):
         fuse(ring_of_grids(Sphere(1e-5), [0], [0]), SETTINGS)
-    with pytest.raises(ScanError, match="larger voxel"):
-        fuse(front, FusionSettings(voxel_m=2e-5))
     with pytest.raises(ScanError, match="do not form a surface"):
-        extract(Field(np.zeros(3), 0.001, np.full((8, 8, 8), np.nan, np.float32)), 1)
+        nothing = np.full((1, BRICK, BRICK, BRICK), np.nan, np.float32)
+        extract(Field(np.zeros(3), 0.001, np.zeros((1, 3), np.int64), nothing), 1)
     with pytest.raises(ScanError, match="no piece"):
         extract(fuse(front, SETTINGS), 10**6)
+    monkeypatch.setattr(tsdf, "MOST_VOXELS", 10_000)
+    with pytest.raises(ScanError, match="larger voxel"):
+        fuse(front, SETTINGS)
 
 
 def test_properties_small_gaps_are_bridged_and_wide_ones_stay() -> None:
