@@ -14,30 +14,28 @@ from typing import Any
 import numpy as np
 
 PICTURES = Path("out/rigs_bench")
-SAMPLES = 30_000
 # Rig, share of its pixels along each edge, voxel in metres.
 RUNS = (("body22", 0.5, 0.004), ("head6", 0.5, 0.002), ("foot10", 0.5, 0.002),
         ("consumer", 1.0, 0.003))  # fmt: skip
 
 
-def run() -> dict[str, Any]:
-    """Scan what each rig is for; one row per rig."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
+def run(rows: tuple[str, ...] = (), pictures: Path = PICTURES) -> dict[str, Any]:
+    """Scan what each rig is for; one row per rig, or only those named."""
+    chosen = [case for case in RUNS if not rows or case[0] in rows]
     return {
         "title": "rigs from mesh to scan at reduced resolution; seen and never-seen surface within "
         "two voxels of the scan",
         "columns": ["rig", "pixels", "voxel mm", "units", "vertices", "RMS mm", "p99 mm",
                     "seen covered", "unseen covered", "CPU s"],
-        "rows": [_row(*case) for case in RUNS],
-        "notes": [f"pictures: {PICTURES}"],
+        "rows": [row(*case, pictures) for case in chosen],
+        "notes": [f"pictures: {pictures}"],
     }  # fmt: skip
 
 
 def subject(name: str, rig: Any) -> Any:
     """Return what stands before a rig."""
     from synthgen.models import load
-    from synthgen.scanner import CropPlane
-    from synthgen.scanner.body import body_scene, centred, standing
+    from synthgen.scanner import CropPlane, body_scene, centred, standing
 
     body = load("cc0-body" if name == "body22" else "cc0-supr")
     joint = dict(zip(body.joint_names, body.evaluate(
@@ -50,14 +48,15 @@ def subject(name: str, rig: Any) -> Any:
         return standing(body_scene(body, pose=pose), rig)
     if name == "foot10":
         x, y, z = joint["left_ankle"]
-        leg = CropPlane((x, y + 0.05, z), (0, -1, 0)), CropPlane((0, 0, 0), (1, 0, 0))
+        leg = CropPlane((0, 0, 0), (1, 0, 0)), CropPlane((x, y + 0.05, z), (0, -1, 0))
         return standing(body_scene(body, wear=(), keep=leg, pressed=True), rig)
     x, y, z = joint["neck"]
     neck = CropPlane((x, y - 0.03, z), (0, 1, 0))
     return centred(body_scene(body, wear=("eyes",), keep=(neck,)))
 
 
-def _row(name: str, factor: float, voxel_m: float) -> list[Any]:
+def row(name: str, factor: float, voxel_m: float, pictures: Path) -> list[Any]:
+    """Scan with one rig: figures; pictures and a GLB file go to a folder."""
     import cv2
 
     from synthgen.corpus.scan_pictures import scan_pictures
@@ -72,9 +71,10 @@ def _row(name: str, factor: float, voxel_m: float) -> list[Any]:
     begun = time.process_time()
     found = scan(scene, rig, rng=stream(0, "sample", 0, 0, "b"), settings=settings)
     spent = time.process_time() - begun
+    pictures.mkdir(parents=True, exist_ok=True)
     for what, picture in scan_pictures(found).items():
-        cv2.imwrite(str(PICTURES / f"{name}_{what}.png"), picture[..., ::-1])
-    save_scan(found, PICTURES / f"{name}.glb")
+        cv2.imwrite(str(pictures / f"{name}_{what}.png"), picture[..., ::-1])
+    save_scan(found, pictures / f"{name}.glb")
     error = 1e3 * found.provenance["error_m"].astype(np.float64)
     left = rig.units[0].nominal.left
     working = sum(u["matched"] > 200 for u in found.report["units"].values())
@@ -86,19 +86,12 @@ def _row(name: str, factor: float, voxel_m: float) -> list[Any]:
 
 def _covered(scene: Any, rig: Any, found: Any, within_m: float) -> tuple[float, float]:
     """Shares of the surface that two cameras of some unit see, and of the rest, near the scan."""
-    from synthgen.geometry.normals import unit
     from synthgen.sampling import stream
-    from synthgen.scanner.evaluate import coverage, seen_by_pairs
+    from synthgen.scanner.evaluate import coverage, seen_by_pairs, surface_samples
     from synthgen.scanner.stage import prepare
 
     stage = prepare(scene, rig, rng=stream(0, "sample", 0, 0, "b"))
-    corners = stage.vertices[stage.mesh.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
-                          axis=1)  # fmt: skip
-    rng = stream(0, "sample", 0, 0, "points")
-    chosen = rng.choice(len(area), SAMPLES, p=area / area.sum())
-    points = corners[chosen].mean(axis=1)
-    normals = unit(stage.normals[stage.mesh.faces[chosen]].mean(axis=1))
+    parts = [surface_samples(s.vertices, s.faces) for s in scene.solids]
+    points, normals, areas = (np.concatenate(own) for own in zip(*parts, strict=True))
     seen = seen_by_pairs(stage, rig.units, points, normals)
-    covered, invented = coverage(found, points, seen, within_m)
-    return float(covered), float(invented)
+    return coverage(found, points, areas, seen, within_m)

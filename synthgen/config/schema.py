@@ -142,7 +142,8 @@ class ScannerSettings(Section):
     """A speckle scanner around the hand; needs the column scan, and stereo for its pictures."""
 
     rig: str | None = Field(default=None, min_length=1, max_length=4096)
-    """Name of a rig (``scenes/rigs``) or path of a YAML file; null scans nothing."""
+    """Name of a rig (``scenes/rigs``) or path of a YAML file, whose content is then part of what
+    decides the bytes; null scans nothing."""
 
     level: Literal["full", "half", "model"] = "full"
     """Full or half resolution, or `model`: no pictures, errors from a fitted noise model."""

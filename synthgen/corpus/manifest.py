@@ -45,17 +45,23 @@ def engine(config: Config) -> dict[str, Any]:
 
 
 def rig_digests(config: Config) -> dict[str, str]:
-    """Return the digests of the rigs that a config uses: their files may change, its words not."""
+    """Return the digests of the rigs that a config uses: their files may change, its words not.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such rig, its file is wrong, or no calibration draw of its seed can be used.
+    """
     found = {}
     if config.scanner.rig is not None:
-        from synthgen.scanner.load import rig_digest
+        from synthgen.scanner import load_rig
 
-        found["rig_digest"] = rig_digest(config.scanner.rig)
+        found["rig_digest"] = load_rig(config.scanner.rig, config.scanner.seed).digest
     if config.render.sensor_depth != "off":
         from synthgen.corpus.sensing import RIG
-        from synthgen.scanner.load import rig_digest
+        from synthgen.scanner import load_rig
 
-        found["depth_rig_digest"] = rig_digest(RIG)
+        found["depth_rig_digest"] = load_rig(RIG, config.scanner.seed).digest
     return found
 
 
@@ -152,9 +158,10 @@ Made by synthgen {manifest["versions"]["synthgen"]}; {manifest["samples"]} sampl
 Config hash `{manifest["config_hash"]}`, variant `{manifest["variant"]}`.
 With the same config, seed and versions every byte comes out again.
 
-Columns are tars of equal keys (`image`, `depth`, `labels`, `meta`, where asked `exr`). Units:
-metres, radians. Camera: OpenCV axes, integer pixel centres. Pose: axis-angle, mean included;
-left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1 mm, 0 = none.
+Columns are tars of equal keys (`image`, `depth`, `labels`, `meta`, where asked `exr`, `scan`,
+`stereo`). Units: metres, radians. Camera: OpenCV axes, integer pixel centres. Pose: axis-angle,
+mean included; left hands are not mirrored. Hand keypoints: OpenPose order. Depth PNG: z in 0.1 mm,
+0 = none.
 
 Hands of the `cc0-hand` model are CC0. Parameters and vertices of licensed models (MANO and
 others) fall under those models' licences: fields `spec.scene.subjects` and `keypoints_3d_m`.

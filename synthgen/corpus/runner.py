@@ -215,9 +215,11 @@ def _accepted(
         if reason is None:
             return tried, views, reasons
         reasons.append(reason)
+    scanned = f"the rig (see `synthgen doctor rig {config.scanner.rig}`)"
+    cause = scanned if reasons[-1].startswith("scan: ") else "camera.fill, orientation"
     raise CorpusError(
         f"sample {spec.index} was rejected {MAX_ATTEMPTS} times, at last because {reasons[-1]}; "
-        "change the configuration (camera.fill, orientation)"
+        f"change the configuration: {cause}"
     )
 
 

@@ -139,6 +139,6 @@ def _same_rigs(corpus: Corpus, config: Config) -> None:
         made = str(corpus.manifest.get(name))
         if made != digest:
             raise CorpusError(
-                f"{name} was {made[:12]}, is {digest[:12]}: the rig {config.scanner.rig} has "
-                f"changed since {corpus.path} was made; restore its file"
+                f"{name} was {made[:12]}, is {digest[:12]}: the rig has changed since "
+                f"{corpus.path} was made (scanner.rig is {config.scanner.rig}); restore its file"
             )

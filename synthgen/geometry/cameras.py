@@ -142,7 +142,7 @@ def undistort(camera: Camera, xy: NDArray[Any], tolerance: float = 1e-10) -> Arr
     for _ in range(200):
         step = target - distort(camera, guess)
         guess = guess + step
-        if np.abs(step).max() < tolerance:
+        if np.abs(step).max(initial=0.0) < tolerance:
             return guess
         if np.abs(guess).max() > 1e3:  # it runs away
             break

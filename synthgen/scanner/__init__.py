@@ -1,5 +1,6 @@
 """Speckle-projector active-stereo scanners: rigs, light, exposure, reconstruction."""
 
+from synthgen.scanner.body import body_scene, centred, standing
 from synthgen.scanner.depth_sensor import sense_depth
 from synthgen.scanner.exposure import expose
 from synthgen.scanner.files import save_scan
@@ -23,6 +24,8 @@ __all__ = [
     "Solid",
     "Surface",
     "UnitScan",
+    "body_scene",
+    "centred",
     "expose",
     "expose_colour",
     "is_green",
@@ -36,4 +39,5 @@ __all__ = [
     "sense_depth",
     "settings_for",
     "solid_from_mesh",
+    "standing",
 ]

@@ -52,8 +52,8 @@ def body_scene(
         Attachments of a shipped model (``eyes``, ``garment``, ...) that come with it; those that a
         model of yours lacks are left out.
     keep : iterable of CropPlane
-        Only what lies on the kept side of all of them is there, closed where they cut; in the
-        model's frame.
+        Cuts, one after the other, in the model's frame: of each the largest piece on the kept side
+        stays, closed where it was cut.
     pressed : bool
         The feet stand on the ground and give way (shipped SUPR form only).
     skin : Surface
@@ -134,15 +134,19 @@ def _solid(
     points: NDArray[Any], faces: NDArray[Any], planes: tuple[CropPlane, ...],
     surface: Surface | None, colours: Array | None = None,
 ) -> Solid | None:  # fmt: skip
-    """Cut and close one mesh; None where nothing of it is kept. Cloth is matt and not closed."""
+    """Cut and close one mesh; None where nothing of it is kept. Cloth is matt."""
     stacked = np.asarray(points, np.float64)
     if colours is not None:
         stacked = np.concatenate([stacked, colours], axis=1)
     triangles = np.asarray(faces, np.int64)
     for plane in planes:
-        if not plane.keeps(stacked[:, :3])[triangles].all(axis=1).any():
+        kept = plane.keeps(stacked[:, :3])
+        if kept.all():  # eyes are two pieces, of which a cut would keep one
+            continue
+        if not kept[triangles].all(axis=1).any():
             return None
-        stacked, triangles, _ = cut_and_cap(stacked, triangles, plane)
+        cut = cut_and_cap(stacked, triangles, plane)
+        stacked, triangles = cut.vertices, cut.faces
     place = np.ascontiguousarray(stacked[:, :3])
     rest = None if colours is None else stacked[:, 3:]
     if surface is None and rest is not None:

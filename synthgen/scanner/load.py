@@ -70,18 +70,6 @@ def load_rig(name: str | Path, seed: int = 0) -> Rig:
     return build_rig(path.stem, read_spec(path), seed, path.parent)
 
 
-def rig_digest(name: str | Path) -> str:
-    """Return the SHA-256 (hex) of what a rig's file says; see :class:`synthgen.scanner.rig.Rig`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such rig, or its file or its picture cannot be read.
-    """
-    path = _find(str(name))
-    return _digest(read_spec(path), path.parent)
-
-
 def _digest(spec: RigSpec, folder: Path) -> str:
     """Hash every value that decides bytes, defaults and the user's slide included."""
     content = spec.model_dump(mode="json", exclude={"summary", "own_choices"})

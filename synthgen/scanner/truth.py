@@ -81,6 +81,8 @@ def see(stage: Stage, camera: Camera, pixels: NDArray[Any], *, time_s: float = 0
 def _first(stage: Stage, origins: Array, rays: Array) -> NDArray[np.int64]:
     """Return the drawn triangle that each ray meets first, -1 none."""
     mi: Any = backend.mitsuba()
+    if not len(rays):  # no lanes would end the process
+        return np.zeros(0, dtype=np.int64)
     o = mi.Point3f(origins.T.astype(np.float32))
     d = mi.Vector3f(rays.T.astype(np.float32))
     hit = stage.scene.ray_intersect_preliminary(mi.Ray3f(o, d))
@@ -111,6 +113,8 @@ def seen_from(
     mi: Any = backend.mitsuba()
     stage.pose(time_s)
     points = np.asarray(points_m, dtype=np.float64)
+    if not len(points):  # no lanes would end the process
+        return np.zeros(0, dtype=bool)
     known = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(known[:, None], points, 0.0)
     eyes = seen_position(stage.rig.glass, camera.position, points)

@@ -23,7 +23,7 @@ from synthgen.corpus.runner import Attempt, generate
 from synthgen.corpus.scanning import Scanning
 from synthgen.corpus.show import describe
 from synthgen.errors import ConfigError, CorpusError
-from synthgen.scanner import list_rigs
+from synthgen.scanner import list_rigs, load_rig
 
 SMALL = [
     "render.width=32", "render.height=32", "render.spp=1", "corpus.shard_size=1",
@@ -38,6 +38,10 @@ def own_rig(folder: Path, name: str = "mine", old: str = "", new: str = "") -> P
     path = folder / f"{name}.yaml"
     path.write_text(text.replace(old, new) if old else text)
     return path
+
+
+def digest(rig: Path | str) -> str:
+    return load_rig(rig).digest
 
 
 def make(out: Path, rig: Path | str, *sets: str, samples: int = 1, **options: Any) -> Path:
@@ -72,29 +76,25 @@ def test_smoke_what_every_unit_did_is_stored_and_shown(mine: tuple[Path, Path]) 
 
 
 def test_properties_the_digest_is_of_the_content(mine: tuple[Path, Path], tmp_path: Path) -> None:
-    from synthgen.scanner.load import rig_digest
-
     _, rig = mine
-    assert rig_digest(rig) == rig_digest("mini") == rig_digest(own_rig(tmp_path, "other"))
+    assert digest(rig) == digest("mini") == digest(own_rig(tmp_path, "other"))
     renamed = own_rig(tmp_path, "renamed", "Two small units", "A pair of units")
-    assert rig_digest(renamed) == rig_digest(rig), "its summary decides nothing"
+    assert digest(renamed) == digest(rig), "its summary decides nothing"
     brighter = own_rig(tmp_path, "brighter", "irradiance: 0.5", "irradiance: 1")
-    assert rig_digest(brighter) != rig_digest(rig)
+    assert digest(brighter) != digest(rig)
 
 
 def test_properties_the_digest_is_of_the_slide_as_well(tmp_path: Path) -> None:
-    from synthgen.scanner.load import rig_digest
-
     rig = own_rig(tmp_path, "pictured", "kind: speckle", "kind: image, image: slide.png")
     picture = np.zeros((64, 64), np.uint8)
     picture[::7, ::5] = 255
     cv2.imwrite(str(tmp_path / "slide.png"), picture)
-    before = rig_digest(rig)
+    before = digest(rig)
     cv2.imwrite(str(tmp_path / "slide.png"), 255 - picture)
-    assert rig_digest(rig) != before
+    assert digest(rig) != before
     (tmp_path / "slide.png").unlink()
     with pytest.raises(ConfigError, match=r"slide\.png: cannot be read"):
-        rig_digest(rig)
+        digest(rig)
 
 
 def test_edge_a_rig_that_changed_is_refused(mine: tuple[Path, Path], tmp_path: Path) -> None:
@@ -118,6 +118,7 @@ def test_edge_a_calibration_that_cannot_be_matched(tmp_path: Path) -> None:
     rig.write_text(text)
     with pytest.raises(ConfigError, match=r"none of 200 calibration draws"):
         make(tmp_path / "corpus", rig)
+    assert not (tmp_path / "corpus").exists(), "nothing is planned either"
 
 
 def test_edge_a_run_goes_on_and_records_the_rejection(tmp_path: Path) -> None:
@@ -137,6 +138,14 @@ def test_edge_a_run_goes_on_and_records_the_rejection(tmp_path: Path) -> None:
     assert reason.startswith("scan: the scan is empty")
     for unit in ("front", "right"):
         assert f"unit {unit}: black speckle: projectors front/0, right/0 give 0" in reason
+
+
+def test_edge_a_scanner_that_never_measures(tmp_path: Path) -> None:
+    def maker(config: Config) -> Attempt:
+        return lambda spec: ("scan: the scan is empty", [])
+
+    with pytest.raises(CorpusError, match=r"rejected 10 times.*`synthgen doctor rig mini`"):
+        make(tmp_path / "corpus", "mini", maker=maker)
 
 
 @pytest.mark.prove

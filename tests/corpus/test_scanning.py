@@ -85,6 +85,7 @@ def test_properties_made_again_the_bytes_are_the_same(made: Path) -> None:
     assert shown.payload["scan"]["rms_m"] < 0.001
 
 
+@pytest.mark.slow
 def test_properties_another_scanner_is_told(made: Path, tmp_path: Path) -> None:
     """Remade with another scanner's seed, what it made differs, and nothing else."""
     copy = shutil.copytree(made, tmp_path / "corpus")

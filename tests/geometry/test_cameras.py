@@ -58,6 +58,7 @@ def test_properties_round_trips() -> None:
     np.testing.assert_allclose(to_world(c, to_camera(c, points())), points(), atol=1e-12)
     xy = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 9)), axis=-1)
     np.testing.assert_allclose(undistort(c, distort(c, xy)), xy, atol=1e-9)
+    assert undistort(c, np.zeros((0, 2))).shape == (0, 2)
 
 
 def test_reference_look_at_is_opencv() -> None:

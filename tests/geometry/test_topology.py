@@ -37,6 +37,17 @@ def test_reference_sphere_normals() -> None:
     assert np.sum(normals * ball.vertices, axis=1).min() > 0.999
 
 
+def test_reference_edges_one_by_one() -> None:
+    """Against sets of pairs, on triangles at random: doubled, degenerate and unused ones too."""
+    rng = np.random.Generator(np.random.Philox(7))
+    for n in (4, 9, 60):
+        faces = rng.integers(0, n, (40, 3))
+        pairs = {(int(f[k]), int(f[(k + 1) % 3])) for f in faces for k in range(3)}
+        expected = sorted((a, b) for a, b in pairs if (b, a) not in pairs)
+        assert boundary_edges(faces).tolist() == [list(pair) for pair in expected]
+    assert boundary_edges(np.zeros((0, 3), int)).shape == (0, 2)
+
+
 def test_properties_pieces() -> None:
     faces = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]])
     piece = pieces(faces, 8)

@@ -11,6 +11,7 @@ import typer.main
 import synthgen
 import synthgen.config
 import synthgen.models
+import synthgen.scanner
 from synthgen.cli.main import app
 from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
@@ -23,6 +24,11 @@ MODELS = {
     "Attachment", "BodyModel", "FootNetwork", "Forward", "Gradient", "HandSpace", "Jacobian",
     "ManoModel", "Posed", "as_torch", "attachments_of", "deform_feet", "dressed", "feet_of",
     "forward", "list_models", "load", "pose_from_pca", "recentre", "touching",
+}  # fmt: skip
+SCANNER = {
+    "CropPlane", "Effects", "Rig", "Scan", "ScanScene", "ScanSettings", "Solid", "Surface",
+    "UnitScan", "body_scene", "centred", "is_green", "list_rigs", "load_rig", "save_scan", "scaled",
+    "scan", "segment", "sense_depth", "settings_for", "solid_from_mesh", "standing",
 }  # fmt: skip
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [
@@ -95,7 +101,8 @@ def test_smoke_every_name_is_there(name: str) -> None:
 def test_reference_rooms() -> None:
     assert set(synthgen.models.__all__) >= MODELS
     assert set(synthgen.config.__all__) >= CONFIG
-    for room in (synthgen.models, synthgen.config):
+    assert set(synthgen.scanner.__all__) >= SCANNER
+    for room in (synthgen.models, synthgen.config, synthgen.scanner):
         for name in room.__all__:
             assert getattr(room, name) is not None
 

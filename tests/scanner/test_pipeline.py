@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from synthgen.errors import ConfigError, ScanError
+from synthgen.errors import ConfigError, ScanError, ShapeError
 from synthgen.sampling.streams import stream
 from synthgen.scanner import Scan, load_rig, scan, settings_for
 from synthgen.scanner.evaluate import (
@@ -50,6 +51,21 @@ def test_smoke_ball(full: Scan) -> None:
     mean = full.colors[full.provenance["colour_unit"] >= 0].mean(axis=0)
     assert mean[0] > mean[1] > mean[2], "the default skin is reddish"
     assert full.texture.shape[2] == 3
+
+
+def test_properties_the_report_tells_what_was_done(full: Scan) -> None:
+    report = full.report
+    assert report == json.loads(json.dumps(report, allow_nan=False))
+    assert report["notes"] == []
+    assert set(report["units"]) == {"front", "right"}
+    for unit in full.units:
+        told = report["units"][unit.ident]
+        assert told["problem"] is None
+        assert told["matched"] == np.isfinite(unit.disparity).sum()
+        assert 0 < told["kept"] < told["matched"] <= 1.1 * told["lit"]
+        assert told["searched_px"][0] <= told["found_px"][0] < told["found_px"][1]
+        assert told["row_offset"] is None
+        assert told["lit_by"] == ["front/0", "right/0"]
 
 
 def test_properties_pairs_are_measured_well(full: Scan) -> None:
@@ -106,6 +122,34 @@ def test_edge_dark_projectors_are_told_by_unit() -> None:
     assert found.problem is not None
     assert "unit front" in found.problem and "unit right" in found.problem
     assert all(unit.problem for unit in found.units)
+    assert found.problem.count("unit front") == 1
+    assert "projector front/0 lights nothing of the subject" in found.report["notes"]
+
+
+def test_edge_what_is_wrong_with_the_pictures_is_said() -> None:
+    rig = load_rig("mini")
+    white = scanned(replace(rig, grey=replace(rig.grey, gain=500.0)), colour=False)
+    assert "unit right: the picture is overexposed" in str(white.problem)
+    turned = trimesh.Trimesh(BALL.vertices, BALL.faces[:, ::-1], process=False)
+    assert "counter-clockwise seen from outside" in str(scanned(rig, mesh=turned).problem)
+    alone = replace(rig, units=(rig.units[0], replace(rig.units[1], slot=3)))
+    half = scanned(alone, colour=False)
+    assert half.problem is None
+    assert half.units[0].problem is None
+    assert "projectors (none in its slot 3) give 0" in str(half.units[1].problem)
+
+
+def test_edge_wrong_use() -> None:
+    rig = load_rig("mini")
+    with pytest.raises(ShapeError, match=r"numpy\.random\.default_rng"):
+        scan(BALL, rig, rng=0)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="square numbers"):
+        scanned(rig, spp=5)
+    with pytest.raises(ConfigError, match="levels are full"):
+        scan(BALL, rig, rng=stream(0, "sample", 0, 0, "scan"), level="best",  # type: ignore[arg-type]
+             settings=settings_for(rig))  # fmt: skip
+    with pytest.raises(ScanError, match=r"left camera .* inside solid 0.* in metres"):
+        scanned(rig, mesh=BALL.copy().apply_scale(1000))
 
 
 def test_edge_too_small_a_disparity_range_is_told() -> None:
