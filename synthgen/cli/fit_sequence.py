@@ -14,6 +14,7 @@ from synthgen.errors import ShapeError
 
 if TYPE_CHECKING:
     from synthgen.registration.fitted import Fit
+    from synthgen.registration.inspection import Expected
     from synthgen.registration.reading import StoredScan
     from synthgen.registration.tracking import Track
 
@@ -34,9 +35,11 @@ def fit_sequence(
     from rich.progress import Progress
 
     from synthgen.models import load
+    from synthgen.registration.inspection import expected_of
     from synthgen.registration.tracking import track
 
-    reel = _Reel(scans, units)
+    loaded = load(model)
+    reel = _Reel(scans, units, expected_of(loaded))
     out.mkdir(parents=True, exist_ok=True)
     reports: list[dict[str, Any]] = []
     lines: list[str] = []
@@ -49,7 +52,7 @@ def fit_sequence(
             lines.append(_line(scans[k], scan, found))
             bar.advance(task)
 
-        found = track(reel.frames(), load(model), start, hand, coupled=coupled, done=done)
+        found = track(reel.frames(), loaded, start, hand, coupled=coupled, done=done)
     payload = {"out": str(out), "fits": reports, "sequence": _written(out, found, reports)}
     counts = ", ".join(f"{n} {verdict}" for verdict, n in found.report["verdicts"].items())
     seconds = found.report["cpu_s"]
@@ -68,6 +71,7 @@ class _Reel:
 
     paths: list[Path]
     units: str
+    expected: Expected
     read: dict[int, StoredScan] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -91,7 +95,7 @@ class _Reel:
         from synthgen.registration.reading import StoredScan, read_scan
 
         try:
-            return read_scan(path, self.units)
+            return read_scan(path, self.units, self.expected)
         except ShapeError as error:
             if k == 0:
                 raise
