@@ -27,8 +27,8 @@ from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]
-# Estimating normals costs more than the fit; so many points are enough for both.
-ESTIMATED = 40_000
+# Estimating normals costs more than the fit; fewer points would be coarser than fingers.
+ESTIMATED = 150_000
 
 
 @dataclass(frozen=True, eq=False)
