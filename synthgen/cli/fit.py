@@ -1,4 +1,4 @@
-"""``synthgen fit``: register hand scans."""
+"""``synthgen fit``: register scans of hands and bodies."""
 
 from __future__ import annotations
 
@@ -17,11 +17,16 @@ if TYPE_CHECKING:
     from synthgen.registration.reading import StoredScan
 
 Scans = Annotated[
-    list[Path], typer.Argument(metavar="SCAN...", help="PLY, OBJ, GLB or XYZ files; one hand each.")
+    list[Path],
+    typer.Argument(metavar="SCAN...", help="PLY, OBJ, GLB or XYZ files; one hand or body each."),
 ]
-Model = Annotated[str, typer.Option("--model", metavar="NAME", help="A hand model's name or path.")]
+Model = Annotated[
+    str, typer.Option("--model", metavar="NAME", help="A hand or body model's name or path.")
+]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")]
-Hand = Annotated[str, typer.Option("--hand", metavar="SIDE", help="auto, left or right.")]
+Hand = Annotated[
+    str, typer.Option("--hand", metavar="SIDE", help="auto, left or right (hand models only).")
+]
 Start = Annotated[
     str, typer.Option("--start", metavar="cold|FILE", help="cold, or a fit's .npz to start from.")
 ]
@@ -29,11 +34,14 @@ Coupled = Annotated[
     bool, typer.Option("--coupled", help="Also free the mesh, for detail that the model lacks.")
 ]
 PresetName = Annotated[
-    str, typer.Option("--preset", metavar="NAME", help="fast, accurate or paper.")
+    str,
+    typer.Option(
+        "--preset", metavar="NAME", help="fast, accurate or paper (the last two: hand models only)."
+    ),
 ]
 Units = Annotated[str, typer.Option("--units", metavar="UNIT", help="auto, m, mm, cm or inch.")]
 Sequence = Annotated[
-    bool, typer.Option("--sequence", help="Scans are frames: each starts from the one before.")
+    bool, typer.Option("--sequence", help="Scans are frames of one subject: track it.")
 ]
 
 
@@ -49,26 +57,31 @@ def fit(
     sequence: Sequence = False,
     as_json: Json = False,
 ) -> Result:
-    """Fit a hand model to scans; parameters, mesh, picture and report of each go to --out."""
+    """Fit a hand or body model to scans; parameters, mesh, picture and report go to --out."""
+    if sequence:
+        from synthgen.cli.fit_sequence import fit_sequence
+
+        if preset != "fast":
+            raise ConfigError(f"--preset {preset} is for single scans; leave it out of --sequence")
+        return fit_sequence(scans, out, model, hand, _start(start), coupled=coupled, units=units,
+                            progress=not as_json)  # fmt: skip
     from synthgen.models import load
     from synthgen.registration import fit as register
+    from synthgen.registration.inspection import expected_of
     from synthgen.registration.reading import read_scan
 
-    hand_model: Any = load(model)
-    first = _start(start)
-    stored = [(path, read_scan(path, units)) for path in scans]
+    loaded: Any = load(model)
+    first, expected = _start(start), expected_of(loaded)
+    stored = [(path, read_scan(path, units, expected)) for path in scans]
     names = _names(scans)
     out.mkdir(parents=True, exist_ok=True)
-    reports, lines, begin = [], [], first
+    reports, lines = [], []
     for name, (path, scan) in zip(names, stored, strict=True):
         found = register(
-            scan.points, scan.normals, hand_model, begin, hand, preset=preset, coupled=coupled
+            scan.points, scan.normals, loaded, first, hand, preset=preset, coupled=coupled
         )
         reports.append(_write(out, name, path, scan, found))
         lines.append(_line(path, scan, found))
-        if sequence and found.verdict != "fail":
-            begin = (found.shape, found.pose, found.translation)
-            hand, hand_model = found.hand or hand, found.model
     good = all(report["verdict"] != "fail" for report in reports)
     payload = {"out": str(out), "fits": reports}
     return Result(payload, [*lines, f"results in {out}"], DONE if good else FAILED)
@@ -87,7 +100,8 @@ def _start(word: str) -> Any:
         return "cold"
     try:
         with np.load(word, allow_pickle=False) as stored:
-            return stored["shape"], stored["pose"], stored["translation"]
+            last = ("expression",) if "expression" in stored else ()
+            return tuple(stored[key] for key in ("shape", "pose", "translation", *last))
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(
             f"--start {word}: expected cold or a fit's .npz (shape, pose, translation): {error}"
@@ -100,11 +114,14 @@ def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> di
 
     from synthgen.registration.overlay import draw_overlay, save_overlay
 
-    np.savez(
-        out / f"{name}.npz", shape=found.shape, pose=found.pose, translation=found.translation,
-        vertices=found.vertices, joints=found.joints, vertex_sd_m=found.vertex_sd_m,
-        hand=np.array(found.hand),
-    )  # fmt: skip
+    arrays: dict[str, Any] = {
+        "shape": found.shape, "pose": found.pose, "translation": found.translation,
+        "vertices": found.vertices, "joints": found.joints, "vertex_sd_m": found.vertex_sd_m,
+        "hand": np.array(found.hand or ""),
+    }  # fmt: skip
+    if found.expression is not None:
+        arrays["expression"] = found.expression
+    np.savez(out / f"{name}.npz", **arrays)
     files = {"parameters": f"{name}.npz", "mesh": f"{name}.ply", "picture": f"{name}.png"}
     _write_mesh(out / f"{name}.ply", found.vertices, found.model.faces)
     surface = found.vertices
@@ -112,7 +129,7 @@ def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> di
         files["free_mesh"] = f"{name}_free.ply"
         _write_mesh(out / f"{name}_free.ply", found.free_vertices, found.model.faces)
         surface = found.free_vertices
-    title = f"{name}: {found.verdict} {found.reason} {found.hand}"
+    title = f"{name}: {found.verdict} {found.reason} {found.hand or ''}"
     save_overlay(out / f"{name}.png",
                  draw_overlay(scan.points, surface, found.model.faces, title))  # fmt: skip
     report = {
@@ -120,6 +137,8 @@ def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> di
         "hand": found.hand, "shape": found.shape.tolist(), "pose": found.pose.tolist(),
         "translation_m": found.translation.tolist(), "files": files,
     }  # fmt: skip
+    if found.expression is not None:
+        report["expression"] = found.expression.tolist()
     (out / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return report
 
@@ -141,7 +160,5 @@ def _line(path: Path, scan: StoredScan, found: Fit) -> str:
         f"vertices known to {s['predicted_vertex_sd_mm']['median']:.2f} mm"
     )  # fmt: skip
     seconds = found.report["cpu_s"]["total"]
-    return (
-        f"{path}: {found.verdict}{reason}, {found.hand} hand{numbers}; "
-        f"{scan.note}; {seconds:.1f} CPU s"
-    )
+    what = "body" if found.hand is None else f"{found.hand} hand"
+    return f"{path}: {found.verdict}{reason}, {what}{numbers}; {scan.note}; {seconds:.1f} CPU s"

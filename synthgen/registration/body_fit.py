@@ -27,8 +27,8 @@ from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]
-# Estimating normals costs more than the fit; so many points are enough for both.
-ESTIMATED = 40_000
+# Estimating normals costs more than the fit; fewer points would be coarser than fingers.
+ESTIMATED = 150_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,16 @@ class BodyCandidate:
     @property
     def rank(self) -> tuple[bool, float]:
         """Larger is better."""
-        return self.judgement.verdict != "fail", self.statistics.explained
+        s = self.statistics
+        return self.judgement.verdict != "fail", s.explained - float(np.nansum(s.unexplained))
+
+    @property
+    def missed_hands(self) -> list[str]:
+        """Sides whose hands alone are badly explained; empty if more of the body is."""
+        if self.judgement.reason != "part_missed":
+            return []
+        parts = [part.partition("_") for part in self.judgement.parts]
+        return [side for side, _, kind in parts] if all(p[2] == "hand" for p in parts) else []
 
 
 def fit_body(
@@ -162,6 +171,9 @@ def _searched(search: BodySearch, begin: Array | None) -> tuple[BodyCandidate, s
         found = judged(search, search.finish(x))
         if best is None or found.rank > best.rank:
             best, kind = found, name
+        if sides := best.missed_hands:
+            other = judged(search, search.again(best.placed.x, sides))
+            return (other if other.rank > best.rank else best), f"{kind}, hands again"
         if best.judgement.verdict != "fail" or best.judgement.reason == "shape_limit":
             break
     assert best is not None

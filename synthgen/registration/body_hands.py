@@ -22,7 +22,7 @@ from synthgen.registration.body_prior import BodyPriors, HandPriors
 from synthgen.registration.body_schedule import MM, BodyStage, hand_crops, hand_vertices
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
 from synthgen.registration.scan import Scan, nearest
-from synthgen.registration.solver import Energy, minimise
+from synthgen.registration.solver import Energy, Outcome, Trial, minimise
 from synthgen.registration.terms import (
     GaussianPrior,
     GemanMcClure,
@@ -35,8 +35,12 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 ROUGH = BodyStage(300, 6, 12 * MM, 60 * MM, 0.0, 3 * MM, 400, 0.1, 0.3, 60 * MM)
 TIGHT = BodyStage(700, 8, 5 * MM, 30 * MM, 0.2, 2 * MM, 1200, 0.05, 0.3, 30 * MM)
+LOOK = replace(ROUGH, points=150)
 REFINED, TIGHTENED, FEW_POINTS, MARGIN_M = 6, 3, 40, 0.08
-LOOKED = 4
+LOOKED = 8
+# A hand is where it should be if few of its points are off the skin, and little skin is off them;
+# where there is hardly a hand, a search finds nothing.
+OFF_M, OFF, UNCOVERED_M, UNCOVERED = 0.006, 0.10, 0.010, (0.10, 0.60)
 # Turns of the forearm about its bone and of the wrist about its y and z axes, radians.
 ARMS = (
     (0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.4), (0.0, 0.0, -0.4),
@@ -101,8 +105,12 @@ def hand_part(surface: BodySurface, side: str) -> HandPart:
     )
 
 
-def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str) -> Array:
-    """Return x with the best elbow, wrist and fingers found for one hand; x if it has no points."""
+def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str, refined: int = 0) -> Array:
+    """Return x with the best elbow, wrist and fingers found for one hand; x if it has no points.
+
+    The search is left out where the hand lies well; with ``refined`` it is made in any case, and
+    that many hypotheses are refined.
+    """
     part = hand_part(priors.surface, side)
     points = _own_points(priors.surface.at(x), scan, side)
     if len(points) < FEW_POINTS:
@@ -110,19 +118,34 @@ def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str) -> Array:
     own = Scan(scan.points[points], scan.normals[points])
     hand = priors.hands[side]
     y = x[part.columns]
-    rough = _energy(part, own, ROUGH, _terms(priors, part, hand))
-    tried = sorted(_hypotheses(part, hand, y), key=lambda v: rough.at(v).cost)
-    basis = _basis(part, hand.components)
-    ends = [minimise(rough, v, iterations=ROUGH.iterations, basis=basis, damping=1e-3)
-            for v in [y, *tried[:REFINED]]]  # fmt: skip
-    ends.sort(key=lambda outcome: outcome.trial.cost)
-    tight = _energy(part, own, TIGHT, rough.terms[2:])
-    basis = _basis(part, hand.more)
-    last = [minimise(tight, o.x, iterations=TIGHT.iterations, basis=basis, damping=1e-3)
-            for o in ends[:TIGHTENED]]  # fmt: skip
+    known = _terms(priors, part, hand)
+    tight, few, more = _energy(part, own, TIGHT, known), hand.components, hand.more
+    best = _lowered(tight, part, y, TIGHT, more)
+    if refined or _is_lost(part, best.trial):
+        look, rough = (_energy(part, own, stage, known) for stage in (LOOK, ROUGH))
+        tried = sorted(_hypotheses(part, hand, y), key=lambda v: look.at(v).cost)
+        ends = [_lowered(rough, part, v, ROUGH, few) for v in tried[: refined or REFINED]]
+        ends.sort(key=lambda outcome: outcome.trial.cost)
+        last = [
+            _lowered(tight, part, o.x, TIGHT, more) for o in ends[: max(refined // 2, TIGHTENED)]
+        ]
+        best = min([best, *last], key=lambda outcome: outcome.trial.cost)
     result = x.copy()
-    result[part.columns] = min(last, key=lambda outcome: outcome.trial.cost).x
+    result[part.columns] = best.x
     return result
+
+
+def _lowered(energy: Energy, part: HandPart, y: Array, stage: BodyStage, fingers: Array) -> Outcome:
+    basis = _basis(part, fingers)
+    return minimise(energy, y, iterations=stage.iterations, basis=basis, damping=1e-3)
+
+
+def _is_lost(part: HandPart, trial: Trial) -> bool:
+    """Tell whether a hand should be looked for elsewhere."""
+    pairs, (_, squared, _) = trial.matches[:2]
+    off = (pairs.squared > OFF_M**2) | ~pairs.kept
+    bare = float((squared > UNCOVERED_M**2).mean())
+    return bool(off[~pairs.rim].mean() > OFF) or UNCOVERED[0] < bare < UNCOVERED[1]
 
 
 def _own_points(placed: BodyPlaced, scan: Scan, side: str) -> Ids:

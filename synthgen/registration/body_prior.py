@@ -31,7 +31,7 @@ LEAST_SD_RAD = 0.06
 # Standard deviations of joint angles about the A-pose, radians.
 JOINT_SD_RAD = {
     "spine": 0.15, "neck": 0.25, "head": 0.25, "collar": 0.12, "shoulder": 0.6, "elbow": 0.7,
-    "wrist": 0.3, "hip": 0.4, "knee": 0.5, "ankle": 0.2, "foot": 0.05, "jaw": 0.05, "toe": 0.1,
+    "wrist": 0.3, "hip": 0.4, "knee": 0.5, "ankle": 0.2, "foot": 0.05, "jaw": 0.05, "toe": 0.07,
 }  # fmt: skip
 # Joints that no scan determines: they stay at rest.
 STILL = ("left_eye", "right_eye")

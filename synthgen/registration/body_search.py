@@ -28,8 +28,7 @@ from synthgen.registration.solver import Outcome
 from synthgen.registration.terms import Term
 
 Array = NDArray[np.float64]
-KEPT, REFINED, FEW_POINTS = 2, 3, 40
-HAND_SHARE = 0.3
+KEPT, REFINED_AGAIN = 2, 16
 
 
 @dataclass
@@ -82,6 +81,10 @@ class BodySearch:
         for side in SIDES:
             x = self.restarted(x, side)
         self._spent("hands", began)
+        return self.refine(x)
+
+    def refine(self, x: Array) -> Outcome:
+        """Run the last stages."""
         began = time.process_time()
         crops = hand_crops(self.surface.at(x), self.scan)
         for stage in (schedule.NEAR, schedule.FINE, schedule.LAST):
@@ -89,6 +92,14 @@ class BodySearch:
             x = outcome.x
         self._spent("finish", began)
         return outcome
+
+    def again(self, x: Array, sides: Sequence[str]) -> Outcome:
+        """Search some hands once more and longer, the rest of the body being in its place."""
+        began = time.process_time()
+        for side in sides:
+            x = begun_afresh(self.priors, self.scan, x, side, REFINED_AGAIN)
+        self._spent("hands", began)
+        return self.refine(x)
 
     def restarted(self, x: Array, side: str) -> Array:
         """Begin one hand afresh; see :func:`synthgen.registration.body_hands.begun_afresh`."""

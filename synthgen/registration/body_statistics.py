@@ -27,8 +27,12 @@ _WORDS = {"head": ("neck", "head", "jaw", "eye"), "arm": ("shoulder", "elbow"),
 NEAR_M, EVALUATED, LEAST_POINTS, FACING = 0.05, 12_000, 60, 0.0
 NEIGHBOURS, COVERED_M = 4, 0.010
 SD_HANDS, SD_OTHERS = 3, 8
-# Gates; hands of real scans are webbed and smoothed, so that more of their points are off.
-LIMIT_M, UNEXPLAINED, UNEXPLAINED_HAND, EXPLAINED = 2e-3, 0.08, 0.18, 0.93
+# Gates. Scans of hands are smoothed and webbed: points between fingers lie up to 4 mm off the
+# skin, with any normal, but no farther; one wrong finger of ten has 3 % of a hand's points.
+LIMIT_M, UNEXPLAINED, EXPLAINED = 2e-3, 0.05, 0.93
+HAND_LIMIT_M, HAND_UNEXPLAINED = 4e-3, 0.02
+# With less of a hand than this, what is left explains itself in more than one way.
+HAND_COVERED = 0.6
 FAR, NOISE_M, SHAPE_SD, SD95_M, SD_PER_NOISE = 0.2, 4e-3, 4.0, 4e-3, 4.0
 
 
@@ -39,7 +43,8 @@ class BodyStatistics:
     Attributes
     ----------
     explained : float
-        Share of the points within 50 mm of the skin that lie within ``limit_m`` and face alike.
+        Share of the points within 50 mm of the skin that lie within ``limit_m`` and face alike;
+        hands have a limit of their own and no normals.
     far : float
         Share of all points farther than that.
     noise_m : float
@@ -112,19 +117,21 @@ def body_statistics(placed: BodyPlaced, scan: Scan, hessian: Array, basis: Array
     points, normals = scan.points[ids], scan.normals[ids]
     pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, neighbours=NEIGHBOURS)
     distance, near = np.sqrt(pairs.squared), pairs.kept
-    plain = near & (np.arange(len(ids)) < len(ids) - sum(len(c[-1500:]) for c in crops))
+    uniform = np.arange(len(ids)) < min(EVALUATED, len(scan.points))
+    plain = near & uniform
     noise = float(np.median(distance[plain])) / 0.6745 if plain.any() else NEAR_M
     limit = max(LIMIT_M, 4 * noise)
-    bad = (distance > limit) | (np.sum(pairs.normal * normals, axis=1) < FACING)
     by_vertex = part_of_vertex(placed.surface.model)
     part = by_vertex[pairs.triangle[np.arange(len(ids)), pairs.barycentric.argmax(axis=1)]]
+    hand = np.isin(part, [k for k, name in enumerate(PARTS) if "hand" in name])
+    away = (np.sum(pairs.normal * normals, axis=1) < FACING) & ~hand
+    bad = away | (distance > np.where(hand, max(HAND_LIMIT_M, limit), limit))
     unexplained, p95 = np.full((2, len(PARTS)), np.nan)
     for k in range(len(PARTS)):
         own = near & (part == k)
         if own.sum() >= LEAST_POINTS:
             unexplained[k], p95[k] = bad[own].mean(), np.quantile(distance[own], 0.95)
     covered, sd = coverage(placed, scan), predicted_sd(placed, hessian, basis)
-    uniform = np.arange(len(ids)) < EVALUATED
     return BodyStatistics(
         explained=float((~bad)[plain].mean()) if plain.any() else 0.0,
         far=float((~near)[uniform].mean()),
@@ -175,7 +182,7 @@ def _sampled(surface: BodySurface) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
     """Judge one finished fit."""
-    limits = np.array([UNEXPLAINED_HAND if "hand" in part else UNEXPLAINED for part in PARTS])
+    limits = np.array([HAND_UNEXPLAINED if "hand" in part else UNEXPLAINED for part in PARTS])
     bad = tuple(part for part, u, limit in zip(PARTS, s.unexplained, limits, strict=True)
                 if u > limit)  # fmt: skip
     if s.far > FAR:
@@ -189,5 +196,9 @@ def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
     if np.abs(shape).max() > SHAPE_SD:
         return Judgement("fail", "shape_limit")
     limit = max(SD95_M, SD_PER_NOISE * s.noise_m)
-    hidden = tuple(part for part, sd in zip(PARTS, s.sd95_m, strict=True) if sd > limit)
+    bare = [
+        ("hand" in part) and c < HAND_COVERED for part, c in zip(PARTS, s.coverage, strict=True)
+    ]
+    hidden = tuple(part for part, sd, b in zip(PARTS, s.sd95_m, bare, strict=True)
+                   if sd > limit or b)  # fmt: skip
     return Judgement("unobserved", "hole", hidden) if hidden else Judgement("pass")

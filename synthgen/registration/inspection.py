@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
+from synthgen.models import BodyModel
 from synthgen.registration.scan import Scan, bulge
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ class Expected:
         Two subjects are together longer than this.
     wide_m : float
         Neighbourhood in which the surface bulges.
+    points : int
+        Points to draw on a coarse mesh.
     """
 
     noun: str
@@ -48,12 +51,18 @@ class Expected:
     apart_m: float
     two_m: float
     wide_m: float
+    points: int
 
 
 # With a piece of forearm: a child's fist to a long spread hand; units are known by a bare hand.
-HAND = Expected("hand", "hands", (0.055, 0.40), (0.075, 0.27), 0.025, 0.08, 0.27, 0.015)
+HAND = Expected("hand", "hands", (0.055, 0.40), (0.075, 0.27), 0.025, 0.08, 0.27, 0.015, 50_000)
 # A toddler to a tall man with his arms up.
-BODY = Expected("body", "bodies", (0.60, 2.7), (0.75, 2.4), 0.12, 0.25, 0.0, 0.08)
+BODY = Expected("body", "bodies", (0.60, 2.7), (0.75, 2.4), 0.12, 0.25, 0.0, 0.08, 150_000)
+
+
+def expected_of(model: BodyModel) -> Expected:
+    """Return what scans for a model should show."""
+    return BODY if model.hand is None else HAND
 
 
 @dataclass(frozen=True)

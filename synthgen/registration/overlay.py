@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,24 @@ from synthgen.geometry.transforms import look_at
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-SIZE, WORST_M, UNSEEN_M = 320, 1e-3, 3e-3
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How a subject is drawn: pixels, distances of red and grey, what dots lie behind the skin."""
+
+    size: int
+    worst_m: float
+    unseen_m: float
+    behind_m: float
+    distance: float
+    dots: int
+
+
+SIZE = 320
+HAND = _Look(SIZE, 1e-3, 3e-3, 0.004, 0.8, 6000)
+BODY = _Look(480, 3e-3, 12e-3, 0.010, 4.0, 20_000)
+BODY_RADIUS_M = 0.35
 
 
 def draw_overlay(
@@ -25,7 +43,7 @@ def draw_overlay(
     """Draw three columns (scan; scan over model; distance) from three sides.
 
     Distances run from green (0) over yellow to red (1 mm and more); skin farther than 3 mm from
-    every scan point is grey: not seen.
+    every scan point is grey: not seen. Bodies: 3 mm and 12 mm, upright.
 
     Parameters
     ----------
@@ -42,10 +60,13 @@ def draw_overlay(
 
     scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
     scan = scan[np.isfinite(scan).all(axis=1)]
+    radius = float(np.linalg.norm(mesh - (mesh.min(axis=0) + mesh.max(axis=0)) / 2, axis=1).max())
+    look = BODY if radius > BODY_RADIUS_M else HAND
     distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
     plane = _plane_distance(scan, mesh, faces)
-    colours = error_colours(np.where(distance < UNSEEN_M, plane, np.inf))
-    rows = [np.hstack(_row(scan, mesh, faces, colours, camera)) for camera in _cameras(mesh)]
+    colours = error_colours(np.where(distance < look.unseen_m, plane, np.inf), look.worst_m)
+    cameras = _cameras(mesh, radius, look)
+    rows = [np.hstack(_row(scan, mesh, faces, colours, camera, look)) for camera in cameras]
     return _titled(np.vstack(rows), title)
 
 
@@ -57,9 +78,9 @@ def save_overlay(path: Path, picture: Picture) -> None:
         raise ShapeError(f"{path}: cannot be written as a picture")
 
 
-def error_colours(distance_m: Array) -> Array:
+def error_colours(distance_m: Array, worst_m: float = HAND.worst_m) -> Array:
     """Colours (V, 3) in 0..1 of distances; infinite is grey."""
-    share = np.clip(np.where(np.isfinite(distance_m), distance_m, 0) / WORST_M, 0, 1)[:, None]
+    share = np.clip(np.where(np.isfinite(distance_m), distance_m, 0) / worst_m, 0, 1)[:, None]
     low, middle, high = (np.array(c) for c in ([0.2, 0.7, 0.3], [0.95, 0.85, 0.2], [0.8, 0.1, 0.1]))
     warm = np.where(share < 0.5, low + 2 * share * (middle - low),
                     middle + (2 * share - 1) * (high - middle))  # fmt: skip
@@ -81,20 +102,22 @@ def _plane_distance(scan: Array, mesh: Array, faces: NDArray[Any]) -> Array:
     return np.asarray(np.bincount(ids, d, len(mesh)) / np.maximum(count, 1))
 
 
-def _cameras(mesh: Array) -> list[Camera]:
+def _cameras(mesh: Array, radius: float, look: _Look) -> list[Camera]:
     centre = (mesh.min(axis=0) + mesh.max(axis=0)) / 2
     axes = np.linalg.svd(mesh - centre, full_matrices=False)[2]
-    radius = float(np.linalg.norm(mesh - centre, axis=1).max())
-    focal = 0.46 * SIZE * (0.8 - radius) / radius
-    K = np.array([[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]])
+    if look is BODY and axes[0, 1] < 0:
+        axes[0] *= -1  # heads up
+    size, away = look.size, look.distance
+    focal = 0.46 * size * (away - radius) / radius
+    K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
     views = (axes[2], -axes[2], unit(axes[1] + 0.3 * axes[2]))
     up = tuple(float(v) for v in axes[0])
-    return [camera_from_K(K, SIZE, SIZE, look_at(centre + 0.8 * d, centre, (up[0], up[1], up[2])))
+    return [camera_from_K(K, size, size, look_at(centre + away * d, centre, (up[0], up[1], up[2])))
             for d in views]  # fmt: skip
 
 
 def _row(
-    scan: Array, mesh: Array, faces: NDArray[Any], colours: Array, camera: Camera
+    scan: Array, mesh: Array, faces: NDArray[Any], colours: Array, camera: Camera, look: _Look
 ) -> list[Picture]:
     normals = vertex_normals(mesh, faces)
     face, b, depth = rasterise(mesh, faces, camera)
@@ -103,18 +126,19 @@ def _row(
     n = unit(np.einsum("nk,nka->na", b[on], normals[corner]))
     towards = unit(camera.position - mesh.mean(axis=0))
     light = 0.25 + 0.75 * np.abs(n @ towards)
-    model = np.full((SIZE, SIZE, 3), 1.0)
+    size = look.size
+    model = np.full((size, size, 3), 1.0)
     model[on] = light[:, None] * np.array([0.85, 0.78, 0.74])
-    errors = np.full((SIZE, SIZE, 3), 1.0)
+    errors = np.full((size, size, 3), 1.0)
     errors[on] = light[:, None] * np.einsum("nk,nka->na", b[on], colours[corner])
-    alone = np.full((SIZE, SIZE, 3), 1.0)
+    alone = np.full((size, size, 3), 1.0)
     both = model.copy()
-    _dots(alone, scan, camera, np.zeros_like(depth))
-    _dots(both, scan[:6000], camera, depth)
+    _dots(alone, scan, camera, np.zeros_like(depth), look)
+    _dots(both, scan[: look.dots], camera, depth, look)
     return [np.asarray(255 * np.clip(p, 0, 1) + 0.5, np.uint8) for p in (alone, both, errors)]
 
 
-def _dots(picture: Array, scan: Array, camera: Camera, depth: Array) -> None:
+def _dots(picture: Array, scan: Array, camera: Camera, depth: Array, look: _Look) -> None:
     """Scan points in blue, nearer ones darker; points well behind the model are hidden."""
     if len(scan) == 0:
         return
@@ -122,9 +146,9 @@ def _dots(picture: Array, scan: Array, camera: Camera, depth: Array) -> None:
     z = local[:, 2]
     u = np.rint(local[:, 0] / z * camera.fx + camera.cx).astype(int)
     v = np.rint(local[:, 1] / z * camera.fy + camera.cy).astype(int)
-    inside = (u >= 0) & (u < SIZE) & (v >= 0) & (v < SIZE) & (z > 0)
+    inside = (u >= 0) & (u < look.size) & (v >= 0) & (v < look.size) & (z > 0)
     u, v, z = u[inside], v[inside], z[inside]
-    shown = (depth[v, u] == 0) | (z < depth[v, u] + 0.004)
+    shown = (depth[v, u] == 0) | (z < depth[v, u] + look.behind_m)
     order = np.argsort(-z[shown])
     u, v, z = u[shown][order], v[shown][order], z[shown][order]
     near, far = z.min(initial=0.7), z.max(initial=0.9)

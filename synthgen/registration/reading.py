@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.normals import vertex_normals
-from synthgen.registration.inspection import UNITS, extent, units_of
+from synthgen.registration.inspection import HAND, UNITS, Expected, extent, units_of
 from synthgen.sampling.streams import stream
 
 Array = NDArray[np.float64]
 MESH_FORMATS, TEXT_FORMATS = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off"), (".xyz", ".txt")
-# Coarse meshes are sampled on their faces, fine ones are taken at their vertices.
-FINE_VERTICES, SAMPLED = 20_000, 50_000
+# Coarse meshes are sampled on their faces; those with this share of the points wanted are fine
+# enough to be taken at their vertices.
+FINE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +41,16 @@ class StoredScan:
     note: str
 
 
-def read_scan(path: Path, units: str = "auto") -> StoredScan:
+def read_scan(path: Path, units: str = "auto", expected: Expected = HAND) -> StoredScan:
     """Read PLY, OBJ, GLB (meshes or points) or XYZ text (x y z, optionally normals).
 
     Parameters
     ----------
     path : Path
     units : "auto" or a unit
-        Auto: the one unit in which the points would be the size of a hand.
+        Auto: the one unit in which the points would have the size of what is expected.
+    expected : Expected
+        A hand or a body (:func:`synthgen.registration.inspection.expected_of`).
 
     Raises
     ------
@@ -63,26 +66,28 @@ def read_scan(path: Path, units: str = "auto") -> StoredScan:
         known = " ".join(MESH_FORMATS + TEXT_FORMATS)
         raise ShapeError(f"{path}: unknown kind of file {kind!r}; known: {known}")
     try:
-        points, normals = _text(path) if kind in TEXT_FORMATS else _mesh(path)
+        points, normals = _text(path) if kind in TEXT_FORMATS else _mesh(path, expected.points)
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OSError) as error:
         raise ShapeError(f"{path}: cannot be read as points: {error}") from error
-    return _scaled(points, normals, units)
+    return _scaled(points, normals, units, expected)
 
 
-def _scaled(points: Array, normals: Array | None, units: str) -> StoredScan:
+def _scaled(points: Array, normals: Array | None, units: str, expected: Expected) -> StoredScan:
     finite = points[np.isfinite(points).all(axis=1)]
     if units != "auto":
         return StoredScan(points * UNITS[units], normals, units, f"units: {units}, as given")
     if len(finite) < 20:
         return StoredScan(points, normals, "", "too few points to tell units")
-    size, found = extent(finite), units_of(finite)
+    size, found = extent(finite), units_of(finite, expected)
     if "m" in found:
         return StoredScan(points, normals, "m", f"units: m ({size:.3f} m across)")
     if len(found) == 1:
         factor = UNITS[found[0]]
         note = f"units: {found[0]} ({size:.4g} across; converted to {size * factor:.3f} m)"
         return StoredScan(points * factor, normals, found[0], note)
-    choice = f"could be {' or '.join(found)}" if found else "no usual unit makes it a hand"
+    choice = (
+        f"could be {' or '.join(found)}" if found else f"no usual unit makes it a {expected.noun}"
+    )
     return StoredScan(points, normals, "", f"{size:.4g} across: {choice}; taken as metres")
 
 
@@ -98,7 +103,7 @@ def _text(path: Path) -> tuple[Array, Array | None]:
     return table[:, :3], normals
 
 
-def _mesh(path: Path) -> tuple[Array, Array | None]:
+def _mesh(path: Path, wanted: int) -> tuple[Array, Array | None]:
     import trimesh
 
     loaded: Any = trimesh.load(path, process=False)
@@ -116,21 +121,23 @@ def _mesh(path: Path) -> tuple[Array, Array | None]:
     faces = faces[finite[faces].all(axis=1)]
     safe = np.where(finite[:, None], points, 0)
     normals = vertex_normals(safe, faces)
-    if len(points) >= FINE_VERTICES:
+    if len(points) >= FINE * wanted:
         used = np.unique(faces)
         return points[used], normals[used]
-    return _sampled(safe, faces, normals)
+    return _sampled(safe, faces, normals, wanted)
 
 
-def _sampled(points: Array, faces: NDArray[np.int64], normals: Array) -> tuple[Array, Array]:
+def _sampled(
+    points: Array, faces: NDArray[np.int64], normals: Array, n: int
+) -> tuple[Array, Array]:
     rng = stream(0, "corpus", 0, 0, "surface samples")
     corners = points[faces]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(u, v), axis=1)
     if area.sum() <= 0:
         return points, normals
-    chosen = rng.choice(len(faces), size=SAMPLED, p=area / area.sum())
-    b = rng.dirichlet([1.0, 1.0, 1.0], SAMPLED)
+    chosen = rng.choice(len(faces), size=n, p=area / area.sum())
+    b = rng.dirichlet([1.0, 1.0, 1.0], n)
     at = np.einsum("nk,nka->na", b, corners[chosen])
     return at, np.einsum("nk,nka->na", b, normals[faces[chosen]])
 

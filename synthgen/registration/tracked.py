@@ -66,6 +66,9 @@ class Follower(Protocol):
     def fitted(self, x: Array, judgement: Judgement, report: dict[str, Any]) -> Fit:
         """Return parameters (n,) as a result."""
 
+    def freed(self, x: Array, scan: Scan) -> Array:
+        """Return the mesh (V, 3) of the coupled stage at parameters (n,)."""
+
     def hand(self, side: str) -> NDArray[np.int64]:
         """Return the parameters that are a hand's alone."""
 

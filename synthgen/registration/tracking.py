@@ -63,6 +63,7 @@ def track(
     *,
     shape: Any = None,
     first: int = FIRST,
+    coupled: bool = False,
     seed: int = 0,
     done: Callable[[int, Fit], None] | None = None,
 ) -> Track:
@@ -83,6 +84,8 @@ def track(
         The subject's betas; None: estimated over the first frames.
     first : int
         How many frames that is.
+    coupled : bool
+        Also free the mesh of every frame that is followed from the model (``free_vertices``).
     seed : int
         Of the order of points.
     done : function of (int, Fit) or None
@@ -106,6 +109,7 @@ def track(
         walk = (_acquainted(follower, early, start) if shape is None
                 else _Walk(follower, start, _given(shape, model)))  # fmt: skip
         spent = time.process_time() - began
+        walk.coupled = coupled
         fits = list(_followed(walk, chain(early, upcoming), done))
     betas = fits[-1].shape if walk.betas is None else walk.betas
     report = _report(fits, spent, time.process_time() - began)
@@ -154,6 +158,7 @@ class _Walk:
         self.x: Array | None = None
         self.motion: Array = np.zeros(0)
         self.lost = 0
+        self.coupled = False
 
     def step(self, points: Any, normals: Any) -> Fit:
         """Fit the next frame, or hold the last one."""
@@ -194,12 +199,13 @@ class _Walk:
         if problem is not None:
             return self._held(problem, began)
         assert self.x is not None
+        free = self.follower.freed(self.x, scan) if self.coupled and good else None
         report = {
             "verdict": judgement.verdict, "reason": judgement.text, "start": "frame before",
             "followed": good, "points": len(scan.points), "unseen_frames": dict(self.unseen),
             "statistics": frame.report, "cpu_s": {"total": time.process_time() - began},
         }  # fmt: skip
-        return self.follower.fitted(self.x, judgement, report)
+        return replace(self.follower.fitted(self.x, judgement, report), free_vertices=free)
 
     def _move(self, frame: Frame) -> None:
         assert self.x is not None

@@ -28,6 +28,7 @@ from synthgen.registration.body_schedule import (
 )
 from synthgen.registration.body_search import BodySearch
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import BODY, LEAST_POINTS, Finding, inspect
 from synthgen.registration.scan import Scan, checked_points
@@ -93,6 +94,11 @@ class BodyFollower:
     def fitted(self, x: Array, judgement: Judgement, report: dict[str, Any]) -> Fit:
         """Return a vector as a result."""
         return as_fit(self.surface.at(x), judgement, report)
+
+    def freed(self, x: Array, scan: Scan) -> Array:
+        """Free the mesh from the model."""
+        noise = max(scan.local_noise_m, 1e-4)
+        return couple(self.surface, scan, x, self.priors.terms(), noise).vertices
 
     def hand(self, side: str) -> Ids:
         """Parameters of a hand: fingers and wrist."""

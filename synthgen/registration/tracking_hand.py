@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ModelError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
 from synthgen.registration.coarse_model import coarse_model_of
+from synthgen.registration.coupled import couple
 from synthgen.registration.fit import fit
 from synthgen.registration.fitted import Fit, Side
 from synthgen.registration.initialiser import initialiser_of
@@ -90,6 +91,13 @@ class HandFollower:
             report={**report, "hand": self.side},
             model=mirror_model(self.model) if left else self.model,
         )
+
+    def freed(self, x: Array, scan: Scan) -> Array:
+        """Free the mesh from the model, on the hand's own side."""
+        own = scan if self.side == "right" else scan.mirrored()
+        priors = self._settings(x, 0, shape_free=True).priors(1.0)
+        free = couple(self.surface, own, x, priors, max(own.local_noise_m, 1e-4)).vertices
+        return free if self.side == "right" else free * _FLIP
 
     def hand(self, side: str) -> NDArray[np.int64]:
         """Return all angles."""

@@ -11,6 +11,13 @@ from synthgen.cli import bench
 from synthgen.cli.main import main
 
 SOURCE = """
+from __future__ import annotations
+from dataclasses import dataclass
+
+@dataclass
+class Row:
+    name: str
+
 def run():
     return {"title": "Speed", "columns": ["what", "s"], "rows": [["ours", 0.12345]], "notes": ["n"]}
 """

@@ -54,7 +54,7 @@ def test_smoke_batch_from_a_start(
     np.savez(start, shape=shape, pose=pose, translation=translation)
     out = tmp_path / "out"
     words = ["fit", str(scan_file), str(scan_file), "--out", str(out), "--hand", "right"]
-    code, payload = run(capsys, *words, "--start", str(start), "--sequence")
+    code, payload = run(capsys, *words, "--start", str(start))
     assert code == 0
     assert [f["start"] for f in payload["fits"]] == ["given", "given"]
     assert (out / "hand_0.npz").is_file()
