@@ -28,7 +28,7 @@ FREE_BYTES = 32 * 2**20
 MAX_RATIO = 64
 _MAX_DIRECTORY = 2**20
 _MAX_HEADER = 4096
-_MAGIC = b"\x93NUMPY"
+MAGIC = b"\x93NUMPY"
 _END_BYTES = 22
 # One plain number or text type; numpy would also read "3f8" and "f2,f2", which are records.
 _DTYPE = re.compile(r"[<>|=]?[biufSU]\d{1,7}")
@@ -53,7 +53,7 @@ def read_npz(path: Path) -> dict[str, Any]:
         If the archive is damaged, hostile, or unpacks to more than a model can need.
     """
     try:
-        size = _check_directory(path)
+        size = check_directory(path)
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             _check_members(members, size)
@@ -134,7 +134,7 @@ def _empty(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 def _header(data: bytes | memoryview) -> tuple[Any, tuple[int, ...], bool, int]:
     """Read dtype ("O" for objects), shape, order and where the content starts."""
-    if data[:6] != _MAGIC or len(data) < 12 or data[6] not in (1, 2, 3):
+    if data[:6] != MAGIC or len(data) < 12 or data[6] not in (1, 2, 3):
         raise ModelError("a member is no .npy array (its first bytes are not those of one)")
     long = data[6] > 1
     (size,) = struct.unpack_from("<I" if long else "<H", data, 8)
@@ -170,8 +170,14 @@ def _dtype(descr: Any) -> Any:
     raise ModelError(f"an array of dtype {descr!r:.60}; expected numbers, text or objects")
 
 
-def _check_directory(path: Path) -> int:
-    """Refuse an archive whose directory alone would take long to read; return its size."""
+def check_directory(path: Path) -> int:
+    """Refuse an archive whose directory alone would take long to read; return its size.
+
+    Raises
+    ------
+    ModelError
+        If it is no archive of a model; without the file's name.
+    """
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise ModelError(f"{size} bytes; a model file has at most {MAX_BYTES}")

@@ -1,6 +1,6 @@
 """A load cache: what was once read and checked is kept as plain arrays, by the file's SHA-256.
 
-An entry is a folder of ``.npy`` files and an ``index.json`` with a checksum of each; it appears
+An entry is a folder of ``.npy`` files and an ``index.json`` with a CRC of each; it appears
 whole or not at all, and one that does not fit its checksums is made again. Nothing in it is
 pickled. ``SYNTHGEN_CACHE`` names the folder, else ``XDG_CACHE_HOME`` or ``~/.cache`` holds it.
 """
@@ -13,6 +13,7 @@ import os
 import shutil
 import tempfile
 import time
+import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from synthgen.models.pickles import MAX_BYTES
 
 # Smaller files are read again faster than they are looked up.
 MIN_BYTES = 8 * 2**20
-_VERSION = 2
+_VERSION = 3
 # An index names a few dozen arrays.
 _MAX_INDEX = 2**20
 # A file changed less than this before it was hashed may change again within one time stamp.
@@ -125,7 +126,7 @@ def keep(key: str, content: Content) -> None:
 def _save(folder: Path, key: str, array: NDArray[Any]) -> int:
     path = _file(folder, key)
     np.save(path, np.ascontiguousarray(array).reshape(array.shape), allow_pickle=False)
-    return _sum(np.fromfile(path, dtype=np.uint8))
+    return zlib.crc32(np.fromfile(path, dtype=np.uint8).data)
 
 
 def _checked(folder: Path, key: str, total: int) -> NDArray[Any]:
@@ -135,7 +136,7 @@ def _checked(folder: Path, key: str, total: int) -> NDArray[Any]:
     data = np.empty(path.stat().st_size, dtype=np.uint8)  # aligned and writable, read in place
     with path.open("rb") as stream:
         size = stream.readinto(data.data)
-    if size != len(data) or _sum(data) != total:
+    if size != len(data) or zlib.crc32(data.data) != total:
         raise ModelError(f"{key} differs from its checksum")
     value = npy_value(data.data)
     if not isinstance(value, np.ndarray):
@@ -147,14 +148,6 @@ def _file(folder: Path, key: str) -> Path:
     """Return the file of a key, whatever characters it has."""
     safe = all(c.isalnum() or c in "_-" for c in key) and key.isascii() and len(key) < 100
     return folder / f"{key if safe else hashlib.sha256(key.encode()).hexdigest()}.npy"
-
-
-def _sum(data: NDArray[np.uint8]) -> int:
-    """Sum the 64-bit words and the length: any flipped bit or cut shows, at memory speed."""
-    whole = len(data) // 8 * 8
-    words = int(np.add.reduce(data[:whole].view("<u8"), dtype=np.uint64))
-    rest = int.from_bytes(data[whole:].tobytes(), "little")
-    return (words + rest + (len(data) << 32)) % 2**64
 
 
 def _check(index: dict[str, Any]) -> str:

@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
-from synthgen.models.archives import npy_value, printable, read_bytes_of, read_npz
+from synthgen.models.archives import (
+    MAGIC,
+    check_directory,
+    npy_value,
+    printable,
+    read_bytes_of,
+    read_npz,
+)
 from synthgen.models.model import Family
-from synthgen.models.pickles import unpickled_dict
+from synthgen.models.pickles import MAX_BYTES, refused, starts_well, unpickled_dict
 
 Array = NDArray[np.float64]
 SUFFIXES = (".npz", ".pkl", ".npy")
@@ -103,6 +110,30 @@ class Content:
         return replace(self, arrays={**self.arrays, **arrays})
 
 
+def check_ends(path: Path) -> None:
+    """Refuse what no model file starts or ends with, before hundreds of megabytes are read.
+
+    Raises
+    ------
+    ModelError
+        If the file is no archive, array or pickle, is too large or cannot be read.
+    """
+    try:
+        if (size := path.stat().st_size) > MAX_BYTES:
+            raise ModelError(f"{size} bytes; a model file has at most {MAX_BYTES}")
+        if path.suffix == ".npz":
+            check_directory(path)
+            return
+        with path.open("rb") as stream:
+            head = stream.read(len(MAGIC))
+        if head != MAGIC and not starts_well(head):
+            raise refused(head[0])
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
+
+
 def read_content(path: Path) -> Content:
     """Read a ``.npz``, ``.pkl`` or ``.npy``; nothing in it is executed.
 
@@ -115,7 +146,7 @@ def read_content(path: Path) -> Content:
         return contained(path, read_npz(path))
     data = read_bytes_of(path)
     try:
-        value = npy_value(data) if data[:6] == b"\x93NUMPY" else unpickled_dict(data)
+        value = npy_value(data) if data[:6] == MAGIC else unpickled_dict(data)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     if not isinstance(value, dict):

@@ -2,12 +2,13 @@
 
 An attachment is skinned by the body's joints like the body itself. Those with bases of their own
 follow shape and expression by them; the garment is bound to the skin beneath it, and takes weights,
-components and pose correctives from there.
+components and pose correctives from there. Where a crease closes on it (a hip that sits), the cloth
+is laid on that skin: what is then still inside the body lies where the skin itself overlaps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from synthgen.errors import ModelError
+from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.models.arguments import checked
 from synthgen.models.chain import chain
 from synthgen.models.pose_features import feature_joints, rotations_and_features
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from synthgen.models.model import BodyModel
 
 Array = NDArray[np.float64]
+# Distance from the skin of cloth that a crease has swallowed, metres.
+_LAID_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,8 @@ class Attachment:
     weights : (A, K), rows sum to 1
     faces : (Fa, 3) int64
     colour : (Fa, 3) uint8, sRGB
+    skin_ids : (A, 3) int64, skin_shares : (A, 3), or None
+        The skin beneath each vertex of what is bound to the skin.
     """
 
     name: str
@@ -54,6 +60,8 @@ class Attachment:
     weights: Array
     faces: NDArray[np.int64]
     colour: NDArray[np.uint8]
+    skin_ids: NDArray[np.int64] | None = None
+    skin_shares: Array | None = None
 
 
 def attachments_of(model: BodyModel) -> tuple[Attachment, ...]:
@@ -87,8 +95,11 @@ def read_attachments(body: BodyModel, extras: Mapping[str, Any]) -> tuple[Attach
 def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
     exprdirs: Array | None
     posedirs: sparse.csr_matrix | None = None
+    ids: NDArray[np.int64] | None = None
+    share: Array | None = None
     if f"{name}_bind_ids" in extras:
-        bind, used = _binding(extras, name)
+        ids, share = _beneath(extras, name)
+        bind, used = _binding(ids, share)
         shapedirs = _bound(bind, body.shapedirs[used])
         exprdirs = None if body.exprdirs is None else _bound(bind, body.exprdirs[used])
         weights = np.asarray(bind @ body.weights[used])
@@ -107,6 +118,8 @@ def _read(body: BodyModel, extras: Mapping[str, Any], name: str) -> Attachment:
         weights=weights,
         faces=np.asarray(extras[f"{name}_f"], dtype=np.int64),
         colour=np.asarray(extras[f"{name}_colour"], dtype=np.uint8),
+        skin_ids=ids,
+        skin_shares=share,
     )
     _check(made)
     return made
@@ -125,13 +138,17 @@ def _check(made: Attachment) -> None:
             raise ValueError(f"{made.name} holds NaN or infinity, or weights that sum to 0")
 
 
-def _binding(extras: Mapping[str, Any], name: str) -> tuple[sparse.csr_matrix, NDArray[np.int64]]:
-    """Matrix (A, n) of skin vertices' shares, rows summing to 1, and those n vertices."""
+def _beneath(extras: Mapping[str, Any], name: str) -> tuple[NDArray[np.int64], Array]:
+    """Skin vertices (A, 3) beneath what is bound to the skin, and their shares, summing to 1."""
     ids = np.asarray(extras[f"{name}_bind_ids"], dtype=np.int64)
     share = np.asarray(extras[f"{name}_bind_weights"], dtype=np.float64)
     if ids.min(initial=0) < 0 or not (share.sum(axis=1) > 0).all():
         raise ValueError(f"{name}_bind_* hold negative ids, or weights that sum to 0")
-    share = share / share.sum(axis=1, keepdims=True)
+    return ids, share / share.sum(axis=1, keepdims=True)
+
+
+def _binding(ids: NDArray[np.int64], share: Array) -> tuple[sparse.csr_matrix, NDArray[np.int64]]:
+    """Matrix (A, n) of the shares, and the n skin vertices that are its columns."""
     used, columns = np.unique(ids, return_inverse=True)
     rows = np.repeat(np.arange(len(ids)), ids.shape[1])
     shape = (len(ids), len(used))
@@ -159,7 +176,7 @@ def _bound_correctives(bind: sparse.csr_matrix, posedirs: NDArray[Any]) -> spars
 
 def dressed(
     model: BodyModel,
-    attachments: Iterable[Attachment],
+    attachments: Sequence[Attachment],
     shape: NDArray[Any],
     pose: NDArray[Any],
     translation: NDArray[Any] | None = None,
@@ -179,10 +196,34 @@ def dressed(
     frames = chain(rotations, joints, model.parents)
     frames[..., :3, 3] += given.translation[:, None]
     feature = features[:, feature_joints(model)[0] :].reshape(len(features), -1)
-    return {
+    result = {
         a.name: pose_attachment(a, given.shape, frames, joints, feature, given.expression)
         for a in attachments
     }
+    bound = [a for a in attachments if a.skin_ids is not None]
+    if bound:
+        psi = given.expression if model.n_expression else None
+        skins = model.evaluate(given.shape, given.pose, given.translation, psi).vertices
+        for a in bound:
+            for points, skin in zip(result[a.name], skins, strict=True):
+                _lay_on_skin(a, points, skin, model.faces)
+    return result
+
+
+def _lay_on_skin(
+    attachment: Attachment, points: NDArray[Any], skin: NDArray[Any], faces: NDArray[np.int64]
+) -> None:
+    """Lay those of points (A, 3) that are inside the skin (V, 3) on what is beneath them."""
+    import igl
+
+    body = skin.astype(np.float64)
+    inside = igl.fast_winding_number(body, faces, points.astype(np.float64)) > 0.5
+    if not inside.any() or attachment.skin_ids is None or attachment.skin_shares is None:
+        return
+    ids, share = attachment.skin_ids[inside], attachment.skin_shares[inside]
+    foot = np.einsum("nk,nkc->nc", share, body[ids])
+    normal = unit(np.einsum("nk,nkc->nc", share, vertex_normals(body, faces)[ids]))
+    points[inside] = foot + _LAID_M * normal
 
 
 def pose_attachment(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ModelError
 from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.content import Array, Content, digest_of
+from synthgen.models.drawn_keys import check_drawn_keys
 from synthgen.models.joints import MANO16_NAMES
 from synthgen.models.model import Family
 from synthgen.models.pickles import MAX_BYTES
@@ -24,6 +25,9 @@ NEEDED: Final = (
 )  # fmt: skip
 # Skinning weights may miss 1 by this much; more is a damaged or foreign file.
 WEIGHT_TOLERANCE = 1e-3
+# Rows of a joint regressor may miss 1 by as much without a word, and by REGRESSOR_TOLERANCE with a
+# warning; more would move a joint by centimetres when its body moves by half a metre.
+REGRESSOR_ROUNDING, REGRESSOR_TOLERANCE = 1e-3, 0.05
 # Metres, or metres per unit of a coefficient: beyond it lies no unit of length anyone uses.
 _LARGEST = 1e6
 _HAND_KEYS = ("hands_mean", "hands_components")
@@ -63,6 +67,7 @@ def checked(content: Content) -> Content:
         _check_finite(content, key)
     _check_faces(content)
     _check_weights(content)
+    off = _check_regressor(content, family)
     _check_tree(content)
     _check_style(content)
     if family == "mano":
@@ -71,7 +76,8 @@ def checked(content: Content) -> Content:
         for side in "lr":
             if any(f"{key}{side}" in content.arrays for key in _HAND_KEYS):
                 _check_hand_space(content, side)
-    warnings = (*content.warnings, *_constrained_warnings(content))
+    check_drawn_keys(content)
+    warnings = (*content.warnings, *off, *_constrained_warnings(content))
     keys = [*NEEDED, *(("exprdirs",) if "exprdirs" in content.arrays else ())]
     digest = digest_of(content, keys)
     return replace(content, family=family, digest=digest, warnings=warnings)
@@ -214,6 +220,31 @@ def _check_weights(content: Content) -> None:
             f"weight is {weights.min():.3g}; expected rows of positive weights that sum to 1 "
             f"within {WEIGHT_TOLERANCE}"
         )
+
+
+def _check_regressor(content: Content, family: Family) -> tuple[str, ...]:
+    """Refuse joints that no vertex places, or that do not move with their vertices; warn of few.
+
+    The rows of SUPR's affine regressor and of a part's (which stands for vertices cut away) need
+    not sum to 1.
+    """
+    regressor = content.numbers("J_regressor")
+    rows = regressor.reshape(content.arrays["weights"].shape[1], -1)
+    if (empty := np.flatnonzero(~rows.any(axis=1))).size:
+        raise content.fail(
+            f"J_regressor has only zeros for joint {empty[0]}; expected the vertices that place it"
+        )
+    if family == "supr" or "family" in content.arrays:
+        return ()
+    total = regressor.sum(axis=1)
+    worst = int(np.abs(total - 1).argmax())
+    words = (
+        f"J_regressor: the row of joint {worst} sums to {total[worst]:.6g}; expected rows that "
+        "sum to 1"
+    )
+    if abs(total[worst] - 1) > REGRESSOR_TOLERANCE:
+        raise content.fail(f"{words} within {REGRESSOR_TOLERANCE}")
+    return (words,) if abs(total[worst] - 1) > REGRESSOR_ROUNDING else ()
 
 
 def parents_of(content: Content) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from synthgen.errors import ModelError
 from synthgen.models import cache
 from synthgen.models.build import build_body, build_hand, side_of
-from synthgen.models.content import Content, read_content
+from synthgen.models.content import Content, check_ends, read_content
 from synthgen.models.families import checked
 from synthgen.models.finding import find, is_shipped, mano_pair
 from synthgen.models.mano import ManoModel
@@ -123,6 +123,8 @@ def _load(
 
 
 def _content(path: Path, pair: tuple[Path, Path] | None) -> Content:
+    for file in (path, *(pair or ())):
+        check_ends(file)
     large = path.stat().st_size >= cache.MIN_BYTES
     own = "" if is_shipped(path) else cache.sha256_of(path)
     pair = pair or (mano_pair(path.parent) if large else None)

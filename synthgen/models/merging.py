@@ -12,8 +12,9 @@ HAND_KEYS = ("hands_mean", "hands_components", "hands_coeffs")
 
 def lacks_hands(content: Content) -> bool:
     """Tell whether a body has 52 joints (fingers among them) but no pose space for them."""
-    k = content.arrays["weights"].shape[1] if "weights" in content.arrays else 0
-    return k == 52 and not any(key.startswith("hands_") for key in content.arrays)
+    weights = content.arrays.get("weights")
+    fifty_two = weights is not None and weights.shape[1:] == (52,)
+    return fifty_two and not any(key.startswith("hands_") for key in content.arrays)
 
 
 def merged(content: Content, pair: tuple[Path, Path]) -> Content:

@@ -71,6 +71,17 @@ def read_bytes(path: Path) -> bytes:
         raise ModelError(f"cannot be read ({error.strerror})") from None
 
 
+def starts_well(head: bytes) -> bool:
+    """Tell whether a pickle that is read could start so; a file of nothing ends too soon."""
+    return not head or head[0] in _STEPS or head[:1] == b"."
+
+
+def refused(code: int) -> ModelError:
+    """Return the error for an opcode that is not on the list."""
+    name = _REFUSED.get(code, f"{code:#04x}")
+    return ModelError(f"pickle opcode {name} is refused; no model file needs it")
+
+
 def unpickled_dict(data: bytes, start: int = 0) -> dict[str, Any]:
     """Read a pickled dict that starts at ``start``; holders become arrays.
 
@@ -115,8 +126,7 @@ class _Machine:
             if step is None:
                 if code == ord("."):
                     return self.stack.pop()
-                name = _REFUSED.get(code, f"{code:#04x}")
-                raise ModelError(f"pickle opcode {name} is refused; no model file needs it")
+                raise refused(code)
             step(self)
         raise ModelError(f"more than {MAX_OPCODES} pickle opcodes; no model file needs them")
 

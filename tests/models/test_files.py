@@ -248,6 +248,9 @@ def test_properties_folders_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ("hands_components", None, r"no hands_components: .* expected hands_mean \(45,\)"),
         ("hands_mean", np.zeros(9), r"hands_mean is \(9,\)"),
         ("hands_coeffs", np.zeros((4, 9)), r"hands_coeffs is \(4, 9\); expected \(N, 45\)"),
+        ("weights", np.full(241, 1.0), r"weights is \(241,\); expected 2 dimensions"),
+        ("J_regressor", np.eye(16, 241) * (np.arange(16) != 3)[:, None], "only zeros for joint 3"),
+        ("J_regressor", 1.2 * np.eye(16, 241), "joint 0 sums to 1.2; expected rows that sum to 1"),
         ("bs_type", "quaternion", "only 'lrotmin'"),
         ("v_template", np.zeros((0, 3)), "none 0"),
     ],
@@ -329,6 +332,28 @@ def test_edge_a_compact_form_that_grows(tmp_path: Path) -> None:
     np.savez(tmp_path / "bad.npz", **arrays)
     with bounded(), pytest.raises(ModelError, match="would take"):
         load(tmp_path / "bad.npz")
+
+
+def test_properties_a_regressor_slightly_off_is_told(tmp_path: Path) -> None:
+    content = mano_files.arrays()
+    np.savez(tmp_path / "good.npz", **content)
+    assert not load(tmp_path / "good.npz").warnings
+    np.savez(tmp_path / "off.npz", **content | {"J_regressor": 1.01 * content["J_regressor"]})
+    (words,) = load(tmp_path / "off.npz").warnings
+    assert "sums to 1.01; expected rows that sum to 1" in words
+
+
+@pytest.mark.parametrize("suffix", [".pkl", ".npy", ".npz"])
+def test_edge_zeros_are_refused_by_their_head(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As large as a model may be: neither read nor hashed."""
+    monkeypatch.setattr("synthgen.models.cache.sha256_of", None)
+    path = tmp_path / f"zeros{suffix}"
+    with path.open("wb") as stream:
+        stream.truncate(299 * 2**20)
+    with bounded(), pytest.raises(ModelError, match=r"zeros.*(opcode 0x00|no directory)"):
+        load(path)
 
 
 def test_edge_a_file_beyond_any_model_is_not_hashed(tmp_path: Path) -> None:
