@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from synthgen.registration.free_mesh import closest_walk, mesh_of
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
@@ -91,25 +92,42 @@ def closest(
     cut_m: float,
     cosine: float,
     curved: float = 0.0,
+    start: NDArray[np.int64] | None = None,
 ) -> Pairs:
     """Closest points on the mesh (libigl), with interpolated (Phong) normals.
+
+    ``start`` (m,) are vertices near the closest points, where they are known: a walk from there is
+    much cheaper than a search.
 
     ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
     0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
     skin is.
     """
-    import igl
-
     s = placed.surface
-    squared, face, point = igl.point_mesh_squared_distance(points, placed.vertices, s.faces)[:3]
+    squared, face, point = _nearest(placed, points, start)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
     rim = np.empty(len(points), dtype=np.bool_)
-    _attributes(placed.vertices, placed.normals, triangle, np.ascontiguousarray(point), normals,
+    _attributes(placed.vertices, placed.normals, triangle, point, normals,
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
     return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
+
+
+def _nearest(
+    placed: Placed, points: Array, start: NDArray[np.int64] | None
+) -> tuple[Array, NDArray[np.int64], Array]:
+    """Squared distances, faces and closest points."""
+    if start is None:
+        import igl
+
+        found = igl.point_mesh_squared_distance(points, placed.vertices, placed.surface.faces)
+        return found[0], found[1], np.ascontiguousarray(found[2])
+    mesh = mesh_of(placed.surface)
+    at = closest_walk(mesh, placed.vertices, np.ascontiguousarray(points), start)
+    corners = placed.vertices[mesh.faces[at.face]]
+    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +149,9 @@ class ScanToMesh:
         Share of the point-to-point distance added, which ties down sliding far from the optimum.
     curved : float
         See :func:`closest`.
+    memory : dict or None
+        Where the last match's points lay, for a stage whose steps are small: the first match
+        searches, the others walk on from there.
     """
 
     points: Array
@@ -141,17 +162,24 @@ class ScanToMesh:
     cosine: float
     tangential: float = 0.0
     curved: float = 0.0
+    memory: dict[str, NDArray[np.int64]] | None = None
 
     def match(self, placed: Placed) -> Pairs:
         """Find closest points."""
-        return closest(
+        start = None if self.memory is None else self.memory.get("corner")
+        found = closest(
             placed,
             self.points,
             self.normals,
             cut_m=self.cut_m,
             cosine=self.cosine,
             curved=self.curved,
+            start=start,
         )
+        if self.memory is not None:
+            corner = found.barycentric.argmax(axis=1)
+            self.memory["corner"] = found.triangle[np.arange(len(corner)), corner]
+        return found
 
     def cost(self, placed: Placed, match: Pairs) -> float:
         """Return the weighted mean robust cost."""
