@@ -145,7 +145,14 @@ def stage_terms(
     rho = GemanMcClure(stage.sigma_m)
     terms: list[Term] = [
         ScanToMesh(
-            points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential, curved,
+            points,
+            normals,
+            weight,
+            rho,
+            stage.cut_m,
+            stage.cosine,
+            stage.tangential,
+            curved,
             {} if stage.cut_m <= WALK_M else None,
         )  # fmt: skip
     ]

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
 MAX_TURN_RAD, MAX_TRIALS = 0.5, 4
 SMALL_DROP, SMALL_DROPS = 1e-4, 2
+CHUNK = 2048  # rows that stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +52,12 @@ class Energy:
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
             for block in term.blocks(trial.placed, match):
-                root = np.sqrt(block.weight)
-                rows = block.rows * root[:, None]
-                hessian += rows.T @ rows
-                gradient += rows.T @ (root * block.residual)
+                for k in range(0, len(block.rows), CHUNK):
+                    part = slice(k, k + CHUNK)
+                    root = np.sqrt(block.weight[part])
+                    rows = block.rows[part] * root[:, None]
+                    hessian += rows.T @ rows
+                    gradient += rows.T @ (root * block.residual[part])
         return hessian, gradient
 
 
