@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from synthgen.errors import ModelError
 from synthgen.models import BodyModel
 from synthgen.models.arguments import Arguments
-from synthgen.models.evaluation import basis_coefficients, pose_skeleton, skin_points
+from synthgen.models.evaluation import driven, pose_skeleton, rest_points, skin_points
 from synthgen.models.jacobian_kernels import joints_by_coefficients, world_axes
 from synthgen.models.joints import FINGERS, SIDES
 from synthgen.models.packed import shape_directions
@@ -135,12 +135,11 @@ class BodyPlaced(Placed):
             x[surface.translation][None], x[surface.expression][None],
         )  # fmt: skip
         self._skeleton = pose_skeleton(model, given, packed)
-        rows, features, moved = basis_coefficients(packed, self._skeleton, given.translation)
-        points = rows @ packed.basis[: rows.shape[1]]
-        out = np.empty_like(points)
-        skin_points(packed, points, features, self._skeleton.skin, moved, out)
-        self._rest = points.reshape(-1, 3)  # skinning left the corrected points here
-        self.vertices = out.reshape(-1, 3)
+        drive = driven(packed, self._skeleton, given.translation)
+        rest = rest_points(packed, drive, np.empty((1, 3 * surface.n_vertices)))
+        posed = np.empty_like(rest)
+        skin_points(packed, drive, rest, posed)
+        self._rest, self.vertices = rest.reshape(-1, 3), posed.reshape(-1, 3)
         transforms = self._skeleton.transforms[0]
         self.frames = np.ascontiguousarray(transforms[:, :3, :3])
         self.joints = np.ascontiguousarray(transforms[:, :3, 3])

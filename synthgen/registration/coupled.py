@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from synthgen.registration.free_mesh import Closest, Quadratic, Topology, closest_walk, topology
+from synthgen.registration.free_mesh import (
+    Closest,
+    Quadratic,
+    Topology,
+    closest_exact,
+    closest_walk,
+    mesh_of,
+)
 from synthgen.registration.free_mesh import quadratic as quadratic_of
 from synthgen.registration.scan import Scan
 from synthgen.registration.surface import Placed, Surface
@@ -99,12 +106,6 @@ class EdgeCoupling:
 
 
 @lru_cache(maxsize=8)
-def mesh_of(surface: Surface) -> Topology:
-    """Topology of a surface, made once."""
-    return topology(surface.faces, surface.n_vertices)
-
-
-@lru_cache(maxsize=8)
 def edge_coupling(surface: Surface, sd_m: float, offset_sd_m: float = 0.02) -> EdgeCoupling:
     """Edges of a surface and their Laplacian."""
     mesh = mesh_of(surface)
@@ -124,7 +125,10 @@ def couple(
     free, at, problem = placed.vertices.copy(), None, None
     points = np.ascontiguousarray(scan.points[: settings.points])
     for k in range(settings.rounds):
-        at = closest_walk(mesh, free, points, at)
+        if at is None:
+            at = closest_exact(mesh, free, points)
+        else:
+            at = closest_walk(mesh, free, points, at.corner(mesh))
         wide = settings.first if k == 0 else 1.0
         problem = _problem(mesh, free, points, scan, at, noise_m, settings, wide)
         if settings.follow:

@@ -16,6 +16,8 @@ from synthgen.registration.terms import GemanMcClure, MeshToScan, ScanToMesh, Te
 
 Array = NDArray[np.float64]
 MM = 1e-3
+# Stages that look no farther than this take steps so small that matches walk on from the last ones.
+WALK_M = 0.008
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,8 @@ WIDE = Stage(600, 12, 15 * MM, 80 * MM, 0.0, 0.5 * MM, 60, tangential=0.2, mesh_
              mesh_cut_m=0.04)  # fmt: skip
 CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
 NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
-FINAL = Stage(10_000, 4, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
-LAST = replace(FINAL, points=30_000, n_eff=30_000, iterations=2)
+FINAL = Stage(10_000, 8, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
+LAST = replace(FINAL, points=50_000, n_eff=50_000, iterations=3, prior=1.0)
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,16 @@ def stage_terms(
     rho = GemanMcClure(stage.sigma_m)
     terms: list[Term] = [
         ScanToMesh(
-            points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential, curved
-        )
+            points,
+            normals,
+            weight,
+            rho,
+            stage.cut_m,
+            stage.cosine,
+            stage.tangential,
+            curved,
+            {} if stage.cut_m <= WALK_M else None,
+        )  # fmt: skip
     ]
     if stage.mesh_to_scan > 0:
         terms.append(

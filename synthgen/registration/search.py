@@ -208,7 +208,9 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
             inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
     hessian = _information(settings, scan, outcome, stage)
-    found = statistics(outcome.trial.placed, scan, hessian, settings.curved, inflation)
+    found = statistics(
+        outcome.trial.placed, scan, hessian, settings.curved, inflation, outcome.trial.matches[0]
+    )
     verdict = judge(found, x[settings.surface.shape])
     return Candidate(x, source, early, found, verdict, hessian, log)
 

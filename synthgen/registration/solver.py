@@ -23,6 +23,7 @@ MAX_TURN_RAD, MAX_TRIALS = 0.5, 4
 SMALL_DROP, SMALL_DROPS = 1e-4, 2
 # A point of a body moves with few of its parameters: from this many on rows are mostly zeros.
 SPARSE_FROM = 100
+CHUNK = 2048  # rows that stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +58,12 @@ class Energy:
                 if n >= SPARSE_FROM:
                     normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
                     continue
-                root = np.sqrt(block.weight)
-                rows = block.rows * root[:, None]
-                hessian += rows.T @ rows
-                gradient += rows.T @ (root * block.residual)
+                for k in range(0, len(block.rows), CHUNK):
+                    part = slice(k, k + CHUNK)
+                    root = np.sqrt(block.weight[part])
+                    rows = block.rows[part] * root[:, None]
+                    hessian += rows.T @ rows
+                    gradient += rows.T @ (root * block.residual[part])
         if n >= SPARSE_FROM:
             hessian += np.tril(hessian, -1).T
         return hessian, gradient

@@ -19,7 +19,7 @@ from synthgen.models.joints import FINGERS
 from synthgen.registration.patches import patches_of
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed
-from synthgen.registration.terms import closest
+from synthgen.registration.terms import Pairs, closest
 
 Array = NDArray[np.float64]
 PARTS = ("palm", *FINGERS)
@@ -134,11 +134,21 @@ def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
 
 
 def statistics(
-    placed: Placed, scan: Scan, hessian: Array, curved: float = 0.0, inflation: float = 1.0
+    placed: Placed,
+    scan: Scan,
+    hessian: Array,
+    curved: float = 0.0,
+    inflation: float = 1.0,
+    last: Pairs | None = None,
 ) -> Statistics:
-    """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage."""
+    """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage.
+
+    ``last`` are that stage's matches of the scan's leading points: where they are all of the scan,
+    the comparison walks on from them.
+    """
     points, normals = scan.points[-EVALUATED:], scan.normals[-EVALUATED:]
-    pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved)
+    pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved,
+                    start=_corners(last, scan))  # fmt: skip
     distance = np.sqrt(pairs.squared)
     facing = np.sum(pairs.normal * normals, axis=1) > 0.3
     near = pairs.kept
@@ -178,6 +188,13 @@ def statistics(
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
         inflation=inflation,
     )
+
+
+def _corners(last: Pairs | None, scan: Scan) -> NDArray[np.int64] | None:
+    if last is None or len(last.triangle) < len(scan.points):
+        return None
+    corner = last.barycentric.argmax(axis=1)
+    return np.asarray(last.triangle[np.arange(len(corner)), corner][-EVALUATED:])
 
 
 def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:

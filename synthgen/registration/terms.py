@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from synthgen.registration.free_mesh import closest_walk, mesh_of
 from synthgen.registration.scan import Scan, nearest
-from synthgen.registration.surface import Placed, Surface
+from synthgen.registration.surface import Found, Placed, Surface
 
 Array = NDArray[np.float64]
 Where = slice | NDArray[np.int64]
@@ -93,15 +94,22 @@ def closest(
     cosine: float,
     curved: float = 0.0,
     neighbours: int = 1,
+    start: NDArray[np.int64] | None = None,
 ) -> Pairs:
     """Closest points on the mesh, with interpolated (Phong) normals.
+
+    ``start`` (m,) are vertices near the closest points, where they are known: a walk from there is
+    much cheaper than a search.
 
     ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
     0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
     skin is.
     """
     s = placed.surface
-    squared, face, point = placed.nearest(points, neighbours)
+    if start is None:
+        squared, face, point = placed.nearest(points, neighbours)
+    else:
+        squared, face, point = _walked(placed, points, start)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
@@ -110,6 +118,14 @@ def closest(
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
     return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
+
+
+def _walked(placed: Placed, points: Array, start: NDArray[np.int64]) -> Found:
+    """Squared distances, faces and closest points, walking from vertices."""
+    mesh = mesh_of(placed.surface)
+    at = closest_walk(mesh, placed.vertices, np.ascontiguousarray(points), start)
+    corners = placed.vertices[mesh.faces[at.face]]
+    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +149,9 @@ class ScanToMesh:
         See :func:`closest`.
     tied : int or None
         Points that carry the tangential part, for all; None: each its own.
+    memory : dict or None
+        Where the last match's points lay, for a stage whose steps are small: the first match
+        searches, the others walk on from there.
     """
 
     points: Array
@@ -144,17 +163,24 @@ class ScanToMesh:
     tangential: float = 0.0
     curved: float = 0.0
     tied: int | None = None
+    memory: dict[str, NDArray[np.int64]] | None = None
 
     def match(self, placed: Placed) -> Pairs:
         """Find closest points."""
-        return closest(
+        start = None if self.memory is None else self.memory.get("corner")
+        found = closest(
             placed,
             self.points,
             self.normals,
             cut_m=self.cut_m,
             cosine=self.cosine,
             curved=self.curved,
+            start=start,
         )
+        if self.memory is not None:
+            corner = found.barycentric.argmax(axis=1)
+            self.memory["corner"] = found.triangle[np.arange(len(corner)), corner]
+        return found
 
     def cost(self, placed: Placed, match: Pairs) -> float:
         """Return the weighted mean robust cost."""
