@@ -17,6 +17,7 @@ from synthgen.geometry.transforms import look_at
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 SIZE, WORST_M, UNSEEN_M = 320, 1e-3, 3e-3
+MOST_POINTS, MOST_DOTS = 20_000, 6000
 
 
 def draw_overlay(
@@ -41,10 +42,10 @@ def draw_overlay(
     from scipy.spatial import cKDTree
 
     scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
-    scan = scan[np.isfinite(scan).all(axis=1)]
+    scan = _spread(scan[np.isfinite(scan).all(axis=1)], MOST_POINTS)
     distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
     plane = _plane_distance(scan, mesh, faces)
-    colours = error_colours(np.where(distance < UNSEEN_M, plane, np.inf))
+    colours = error_colours(np.where(distance < UNSEEN_M, plane, np.inf))  # inf: no point near
     rows = [np.hstack(_row(scan, mesh, faces, colours, camera)) for camera in _cameras(mesh)]
     return _titled(np.vstack(rows), title)
 
@@ -66,19 +67,24 @@ def error_colours(distance_m: Array) -> Array:
     return np.where(np.isfinite(distance_m)[:, None], warm, 0.6)
 
 
+def _spread(points: Array, most: int) -> Array:
+    """At most so many points, evenly out of all: scanners store neighbours one after the other."""
+    return points[:: -(-len(points) // most)] if len(points) > most else points
+
+
 def _plane_distance(scan: Array, mesh: Array, faces: NDArray[Any]) -> Array:
-    """Mean distance of the scan points around each vertex from the mesh (V,)."""
+    """Mean distance of the scan points around each vertex from the mesh (V,), inf without any."""
     import igl
 
     if len(scan) == 0:
-        return np.zeros(len(mesh))
-    some = scan[:20_000]
+        return np.full(len(mesh), np.inf)
     f = np.ascontiguousarray(faces, dtype=np.int64)
-    squared, face = igl.point_mesh_squared_distance(some, mesh, f)[:2]
-    near = squared < 0.01**2
+    squared, face = igl.point_mesh_squared_distance(scan, mesh, f)[:2]
+    near = squared < UNSEEN_M**2  # else the arm's points would count for the wrist's rim
     ids, d = f[face[near]].ravel(), np.repeat(np.sqrt(squared[near]), 3)
     count = np.bincount(ids, minlength=len(mesh))
-    return np.asarray(np.bincount(ids, d, len(mesh)) / np.maximum(count, 1))
+    mean = np.bincount(ids, d, len(mesh)) / np.maximum(count, 1)
+    return np.asarray(np.where(count > 0, mean, np.inf))
 
 
 def _cameras(mesh: Array) -> list[Camera]:
@@ -110,7 +116,7 @@ def _row(
     alone = np.full((SIZE, SIZE, 3), 1.0)
     both = model.copy()
     _dots(alone, scan, camera, np.zeros_like(depth))
-    _dots(both, scan[:6000], camera, depth)
+    _dots(both, _spread(scan, MOST_DOTS), camera, depth)
     return [np.asarray(255 * np.clip(p, 0, 1) + 0.5, np.uint8) for p in (alone, both, errors)]
 
 
