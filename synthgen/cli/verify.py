@@ -55,6 +55,8 @@ def verify(
     lines += [f"... and {hidden} more (--report FILE holds all)"] if hidden > 0 else []
     verdict = "ok" if found.ok else f"{len(found.failures)} failures"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
+    lines += [f"{n} views store no {column}: only their other labels were checked"
+              for column, n in sorted(found.lacking.items())]  # fmt: skip
     good = found.ok
     if start is not None:
         trip = _round_trip(directory, samples, start, report, not as_json)
@@ -86,6 +88,8 @@ def _trip_lines(trip: RoundTrip) -> list[str]:
         far = "" if error is None else f", seen vertices {error:.2f} mm off"
         lines.append(f"sample {hand.sample}: {hand.verdict} ({hand.reason}){far}")
     counts = ", ".join(f"{n} {verdict}" for verdict, n in trip.counts.items())
+    if set(trip.counts) == {"labels only"}:
+        return [f"round trip: none, {counts}: neither depth nor a scan is stored"]
     figures = trip.to_json()["passed"]
     error = "" if not figures else (
         f"; passed hands: vertices {figures['v2v_mean_mm']:.2f} mm, seen "
@@ -97,7 +101,7 @@ def _trip_lines(trip: RoundTrip) -> list[str]:
 
 def _self_test(directory: Path, samples: int | None, report: Path | None) -> Result:
     """Show the table fault x product."""
-    from synthgen.verify.self_test import PRODUCTS
+    from synthgen.verify.self_test import PRODUCTS, WITNESSES
     from synthgen.verify.self_test import self_test as run
 
     found = run(directory) if samples is None else run(directory, samples)
@@ -105,18 +109,22 @@ def _self_test(directory: Path, samples: int | None, report: Path | None) -> Res
     _save(report, payload)
     by_fault: dict[str, list[str]] = {}
     for cell in found.cells:
-        word = "not observable" if cell.reason else f"{cell.caught}/{cell.of} {cell.check}"
+        word = f"{cell.caught}/{cell.of} {cell.check}" if cell.of else "not observable"
         by_fault.setdefault(cell.fault, []).append(word.strip())
     lines = columns([["fault", *PRODUCTS], *([name, *words] for name, words in by_fault.items())])
-    reasons = sorted({cell.reason for cell in found.cells if cell.reason})
-    lines += ["", *(f"not observable: {reason}" for reason in reasons)]
-    used = sorted({(cell.check, cell.witness) for cell in found.cells if cell.check})
-    lines += ["", *(f"{check}: witness is {witness}" for check, witness in used)]
+    reasons: dict[str, list[str]] = {}
+    for cell in found.cells:
+        if cell.reason:
+            reasons.setdefault(f"{cell.product}: {cell.reason}", []).append(cell.fault)
+    lines += ["", "not observable:"]
+    lines += [f"  {reason}: {', '.join(faults)}" for reason, faults in reasons.items()]
+    used = sorted({cell.check for cell in found.cells if cell.check})
+    lines += ["", "independent witnesses:", *(f"  {c}: {WITNESSES.get(c, '')}" for c in used), ""]
     alarms = found.false_alarms
     lines.append(f"{len(alarms)} false alarms on {found.clean_samples} clean samples")
     lines += list(alarms)
-    missed = [f"{c.fault} / {c.product}" for c in found.cells if not c.ok]
-    lines += [f"MISSED: {name}" for name in missed]
+    lines += [f"MISSED: {c.fault} / {c.product}, samples {', '.join(map(str, c.missed))}"
+              for c in found.cells if not c.ok]  # fmt: skip
     return Result(payload, lines, DONE if found.ok else FAILED)
 
 

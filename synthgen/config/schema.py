@@ -130,9 +130,11 @@ class RenderSettings(Section):
 
 
 def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    missing = [name for name in COLUMNS[:4] if name not in columns]
+    missing = [name for name in ("image", "labels", "meta") if name not in columns]
     if missing:
-        raise ValueError(f"{', '.join(missing)} missing; only exr, scan and stereo may be left out")
+        raise ValueError(
+            f"{', '.join(missing)} missing; only depth, exr, scan and stereo may be left out"
+        )
     if len(set(columns)) != len(columns):
         raise ValueError("a column is named twice")
     return tuple(name for name in COLUMNS if name in columns)
@@ -159,8 +161,9 @@ class CorpusSettings(Section):
     """Samples per shard: the unit of work, of commit and of resuming."""
 
     columns: Annotated[tuple[Column, ...], AfterValidator(_columns)] = COLUMNS[:4]
-    """What is written: image, depth, labels and meta always; if asked exr (linear, float
-    depth), scan (coloured mesh) and stereo (rectified speckle pairs, disparities, calibration)."""
+    """What is written: image, labels and meta always; depth unless left out; if asked exr (linear,
+    float depth), scan (coloured mesh) and stereo (rectified speckle pairs, disparities,
+    calibration)."""
 
     jpeg_quality: int = Field(default=95, ge=50, le=100)
     """Quality of the JPEG pictures, percent."""
@@ -218,4 +221,6 @@ class Config(Section):
             raise ValueError("scanner.rig is set; add scan to corpus.columns, or set it to null")
         if "stereo" in asked and self.scanner.level == "model":
             raise ValueError("scanner.level model takes no pictures: leave the column stereo out")
+        if self.render.sensor_depth != "off" and "depth" not in self.corpus.columns:
+            raise ValueError("render.sensor_depth is stored in the column depth; add it")
         return self

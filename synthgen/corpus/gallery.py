@@ -122,8 +122,9 @@ def _card(view: View) -> str:
     layers = {
         "photo": _inline(view.image, 85),
         "parts": _inline(parts_picture(view), 70),
-        "depth": _inline(depth_picture(view), 70),
     }
+    if "depth" in view.columns:
+        layers["depth"] = _inline(depth_picture(view), 70)
     images = "".join(f'<img class="{n}" src="{d}" alt="{n}">' for n, d in layers.items())
     factors = view.meta["spec"]["factors"]
     lines = "".join(

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from synthgen.corpus import manifest, shards
-from synthgen.corpus.columns import key_of
+from synthgen.corpus.columns import Members, key_of
 from synthgen.corpus.sample import Sample, View
 from synthgen.corpus.shards import Entry
 from synthgen.errors import CorpusError, IntegrityError
@@ -63,7 +63,20 @@ class Corpus:
             meta: dict[str, Any] = json.loads(fetch("meta", name))
         except ValueError as error:
             raise IntegrityError(f"{name} in shard {shard} is damaged ({error})") from None
-        return View(meta, fetch)
+        return View(meta, fetch, frozenset(self._sidecar(shard)["columns"]))
+
+    def stored(self, position: int) -> dict[str, Members]:
+        """Return all that is stored of a sample, as bytes: ``{column: {member name: bytes}}``."""
+        index = self._indices[position]
+        shard, mine = self._shard_of[index], key_of(index, 0)[:-2]
+        return {
+            column: {
+                name: shards.read_member(self.path, column, shard, name, Entry(*place))
+                for name, place in facts["members"].items()
+                if name.startswith(mine)
+            }
+            for column, facts in self._sidecar(shard)["columns"].items()
+        }
 
     @cached_property
     def table(self) -> pa.Table:

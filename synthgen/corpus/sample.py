@@ -106,12 +106,16 @@ class Subject:
 
 
 class View:
-    """One camera's picture and labels; every array is decoded when it is asked for."""
+    """One camera's picture and labels; every array is decoded when it is asked for.
 
-    def __init__(self, meta: dict[str, Any], fetch: Fetch) -> None:
+    ``columns`` names what the corpus stores; an array of another column is refused.
+    """
+
+    def __init__(self, meta: dict[str, Any], fetch: Fetch, columns: frozenset[str]) -> None:
         self.meta = meta
         self._fetch = fetch
         self.key: str = meta["key"]
+        self.columns = columns
 
     @property
     def stored_member(self) -> Fetch:
@@ -123,6 +127,8 @@ class View:
         return self._fetch(column, f"{self.key}.{suffix}")
 
     def _image(self, column: str, suffix: str, channels: int) -> NDArray[Any]:
+        if column not in self.columns:
+            raise CorpusError(f"{self.key}: this corpus stores no column {column}")
         data = self._fetch(column, f"{self.key}.{suffix}")
         image = decode_image(data, f"{self.key}.{suffix}", channels)
         size = (self.meta["height"], self.meta["width"])

@@ -54,7 +54,7 @@ def scan_members(scan: Scan, rig: Rig, T_world_from_rig: NDArray[Any]) -> Member
     return {
         "scan.ply": ply_bytes(scan),
         "texture.jpg": picture.tobytes(),
-        "corner_uv.npy": _npy(np.rint(scan.corner_uv * 65535).astype(np.uint16)),
+        "corner_uv.npy": npy(np.rint(scan.corner_uv * 65535).astype(np.uint16)),
         "scan.json": _json(facts),
     }
 
@@ -67,9 +67,9 @@ def stereo_members(scan: Scan) -> Members:
         assert unit.right is not None
         found[f"{unit.ident}.left.png"] = png(unit.left)
         found[f"{unit.ident}.right.png"] = png(unit.right)
-        found[f"{unit.ident}.disparity.npy"] = _npy(unit.disparity)
+        found[f"{unit.ident}.disparity.npy"] = npy(unit.disparity)
         if unit.true_disparity is not None:
-            found[f"{unit.ident}.true.npy"] = _npy(unit.true_disparity)
+            found[f"{unit.ident}.true.npy"] = npy(unit.true_disparity)
         found[f"{unit.ident}.json"] = _json(_calibration(unit))
     return found
 
@@ -156,7 +156,8 @@ def _camera(row: dict[str, Any]) -> Camera:
     return Camera(**{**row, "distortion": (k1, k2, p1, p2, k3), "T_world_from_camera": rows})
 
 
-def _npy(values: NDArray[Any]) -> bytes:
+def npy(values: NDArray[Any]) -> bytes:
+    """Encode an array as NumPy stores it, without pickles."""
     stream = io.BytesIO()
     np.save(stream, values, allow_pickle=False)
     return stream.getvalue()

@@ -69,9 +69,9 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
 def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
     """Write one view's picture, skeleton, parts and depths side by side as a PNG."""
     view = sample.views[number]
-    row: list[NDArray[np.uint8]] = [
-        view.image, skeleton_picture(view), parts_picture(view), depth_picture(view),
-    ]  # fmt: skip
+    row: list[NDArray[np.uint8]] = [view.image, skeleton_picture(view), parts_picture(view)]
+    if "depth" in view.columns:
+        row.append(depth_picture(view))
     if view.sensor_depth_z_m is not None:
         row.append(depth_picture(view, view.sensor_depth_z_m))
     sheet = np.concatenate(row, axis=1)[..., ::-1]

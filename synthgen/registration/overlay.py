@@ -35,6 +35,7 @@ SIZE = 320
 HAND = _Look(SIZE, 1e-3, 3e-3, 0.004, 0.8, 6000)
 BODY = _Look(480, 3e-3, 12e-3, 0.010, 4.0, 20_000)
 BODY_RADIUS_M = 0.35
+MOST_POINTS = 20_000
 
 
 def draw_overlay(
@@ -59,11 +60,11 @@ def draw_overlay(
     from scipy.spatial import cKDTree
 
     scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
-    scan = scan[np.isfinite(scan).all(axis=1)]
+    scan = _spread(scan[np.isfinite(scan).all(axis=1)], MOST_POINTS)
     radius = float(np.linalg.norm(mesh - (mesh.min(axis=0) + mesh.max(axis=0)) / 2, axis=1).max())
     look = BODY if radius > BODY_RADIUS_M else HAND
     distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
-    plane = _plane_distance(scan, mesh, faces)
+    plane = _plane_distance(scan, mesh, faces, look.unseen_m)
     colours = error_colours(np.where(distance < look.unseen_m, plane, np.inf), look.worst_m)
     cameras = _cameras(mesh, radius, look)
     rows = [np.hstack(_row(scan, mesh, faces, colours, camera, look)) for camera in cameras]
@@ -87,19 +88,24 @@ def error_colours(distance_m: Array, worst_m: float = HAND.worst_m) -> Array:
     return np.where(np.isfinite(distance_m)[:, None], warm, 0.6)
 
 
-def _plane_distance(scan: Array, mesh: Array, faces: NDArray[Any]) -> Array:
-    """Mean distance of the scan points around each vertex from the mesh (V,)."""
+def _spread(points: Array, most: int) -> Array:
+    """At most so many points, evenly out of all: scanners store neighbours one after the other."""
+    return points[:: -(-len(points) // most)] if len(points) > most else points
+
+
+def _plane_distance(scan: Array, mesh: Array, faces: NDArray[Any], unseen_m: float) -> Array:
+    """Mean distance of the scan points around each vertex from the mesh (V,), inf without any."""
     import igl
 
     if len(scan) == 0:
-        return np.zeros(len(mesh))
-    some = scan[:20_000]
+        return np.full(len(mesh), np.inf)
     f = np.ascontiguousarray(faces, dtype=np.int64)
-    squared, face = igl.point_mesh_squared_distance(some, mesh, f)[:2]
-    near = squared < 0.01**2
+    squared, face = igl.point_mesh_squared_distance(scan, mesh, f)[:2]
+    near = squared < unseen_m**2  # else the arm's points would count for the wrist's rim
     ids, d = f[face[near]].ravel(), np.repeat(np.sqrt(squared[near]), 3)
     count = np.bincount(ids, minlength=len(mesh))
-    return np.asarray(np.bincount(ids, d, len(mesh)) / np.maximum(count, 1))
+    mean = np.bincount(ids, d, len(mesh)) / np.maximum(count, 1)
+    return np.asarray(np.where(count > 0, mean, np.inf))
 
 
 def _cameras(mesh: Array, radius: float, look: _Look) -> list[Camera]:
@@ -134,7 +140,7 @@ def _row(
     alone = np.full((size, size, 3), 1.0)
     both = model.copy()
     _dots(alone, scan, camera, np.zeros_like(depth), look)
-    _dots(both, scan[: look.dots], camera, depth, look)
+    _dots(both, _spread(scan, look.dots), camera, depth, look)
     return [np.asarray(255 * np.clip(p, 0, 1) + 0.5, np.uint8) for p in (alone, both, errors)]
 
 

@@ -27,6 +27,7 @@ REASONS = (
     "not_converged",
     "noise_above_spec",  # points scatter by more than 2 mm, a body's by more than 4
     "truth_mismatch",  # round trip only: the fit is good and the truth is far
+    "false_pass",  # round trip only: the same, but the truth explains the points as well
 )
 UNEXPLAINED, RATIO, EXPLAINED = 0.035, 1.17, 0.95
 # Where the model misfits (detail it cannot express), residuals are no longer like noise.

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from synthgen.corpus.columns import DEPTH_STEP_M
 from synthgen.corpus.sample import Sample, Subject, View
@@ -19,6 +18,7 @@ from synthgen.models.joints import OPENPOSE21_FROM_MANO21, OPENPOSE21_JOINT, PAR
 from synthgen.sampling.limits import limits_of, violation
 from synthgen.scene.instances import objects_of
 from synthgen.scene.surface import DrawnSurface
+from synthgen.verify.picture import check_image
 from synthgen.verify.redraw import Redrawn, redraw
 from synthgen.verify.report import VerifyReport
 
@@ -28,14 +28,14 @@ REPROJECTION_PX, KEYPOINT_3D_M = 0.05, 2e-5
 MASK_SHARE = 0.001  # of silhouette pixels
 DEPTH_M = DEPTH_STEP_M / 2 + 2e-5
 NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
+SENSOR_SHARE = 0.02  # what makers of such cameras promise
 BONE_M = (0.05, 0.13)
-FLESH = 2.2  # thickest flesh on the way to a joint, over the typical radius there
-# Red over blue of the bluest skylight; and the contrast that edges must have over chance.
-SKY_HUE = 0.6
+# Thickest flesh on the way to a joint, over the typical radius there; and before a fingertip.
+FLESH, TIP_M = 2.2, 0.004
 
 
 def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
-    """Run every check of one view."""
+    """Run every check of one view that what is stored allows; the report counts what it lacks."""
     again = redraw(sample, view)
     number = view.meta["view"]
 
@@ -44,10 +44,17 @@ def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
 
     check_camera(measure, sample, view)
     check_keypoints(measure, sample, view, again)
+    for column in ("image", "depth", "labels"):
+        if column not in view.columns:
+            report.lacking[column] = report.lacking.get(column, 0) + 1
+    if "labels" not in view.columns:
+        return
     check_masks(measure, sample, view, again)
-    check_depth(measure, view, again)
     check_surface(measure, sample, view, again)
-    check_image(measure, sample, view)
+    if "depth" in view.columns:
+        check_depth(measure, view, again)
+    if "image" in view.columns:
+        check_image(measure, sample, view, again)
 
 
 def check_camera(measure: Any, sample: Sample, view: View) -> None:
@@ -124,21 +131,44 @@ def chirality(keypoints: NDArray[Any], hand: str) -> float:
 def check_states(
     measure: Any, subject: Subject, hand: Any, pixels: Array, z: Array, view: View, again: Redrawn
 ) -> None:
-    """Out of the frame exactly where the projection is; visible only near the seen surface."""
+    """Out of the frame exactly where the projection is; visible where the z-buffer says so."""
     size = np.array([view.meta["width"], view.meta["height"]])
     margin = np.minimum(pixels + 0.5, size - 0.5 - pixels).min(axis=1)
     state = hand.keypoints_state
     wrong = np.sum((state == 0) & (margin > 0.01)) + np.sum((state > 0) & (margin < -0.01))
     measure("keypoint frame", wrong, 0, "keypoints whose out-of-frame state is wrong")
-    column, row = np.clip(np.rint(pixels).astype(int), 0, size - 1).T
-    # The farthest of the pixels around: a keypoint's ray passes between their centres.
-    surface = ndimage.maximum_filter(again.depth_z_m, 3)[row, column]
-    on_hand = again.face[row, column] >= 0
-    flesh = FLESH * subject.loaded.finger_radius[list(OPENPOSE21_JOINT)] + 0.01
-    deep = (state == 2) & on_hand & (z - surface > flesh)
-    measure("visible too deep", deep.sum(), 0, "visible keypoints farther in than flesh reaches")
-    hidden = ndimage.minimum_filter(again.covered, 5)[row, column]
-    measure("occlusion", np.sum((state == 2) & hidden), 0, "visible keypoints behind an object")
+    could, must = seen_keypoints(subject, hand.instance_id, pixels, z, again)
+    wrong = np.sum((state == 2) & ~could) + np.sum((state == 1) & must & (margin > 2))
+    measure("visible", wrong, 0, "keypoints said to be visible that are hidden, or the reverse")
+
+
+def seen_keypoints(
+    subject: Subject, number: int, pixels: Array, z: Array, again: Redrawn
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which keypoints (21,) could be visible, and which must be.
+
+    A keypoint is visible where the first surface on its ray is the skin of its own bone, or of the
+    next ones, and no farther in front than flesh reaches. The ray passes between the centres of
+    the 3 x 3 pixels around: one of them is enough to be visible, all must be hidden to be hidden.
+    """
+    model = subject.loaded
+    on = again.instance == number
+    part = np.zeros(on.shape, dtype=np.int64)
+    part[on] = DrawnSurface.for_model(model).part(again.face[on], again.barycentric[on])
+    low, high = np.zeros(2, int), np.array(on.shape[::-1]) - 1
+    could, must = np.zeros(21, dtype=bool), np.zeros(21, dtype=bool)
+    for k, joint in enumerate(OPENPOSE21_JOINT):
+        c, r = np.clip(np.rint(pixels[k]).astype(int), low, high)
+        near = np.s_[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+        bones = {joint, int(model.parents[joint]), *np.flatnonzero(model.parents == joint)}
+        own = np.isin(part[near], [b + 1 for b in bones if b >= 0])
+        own |= (part[near] == PART_FOREARM) & (joint == 0)
+        own &= on[near]
+        depth = z[k] - again.depth_z_m[near]
+        flesh = TIP_M if k % 4 == 0 and k else FLESH * model.finger_radius[joint]
+        could[k] = np.any(own & (depth < flesh + 0.006) & (depth > -0.006))
+        must[k] = np.all(own & (depth < flesh - 0.002) & (depth > 0.001))
+    return could, must
 
 
 def check_masks(measure: Any, sample: Sample, view: View, again: Redrawn) -> None:
@@ -146,8 +176,9 @@ def check_masks(measure: Any, sample: Sample, view: View, again: Redrawn) -> Non
     mine, theirs = view.instance_id.astype(np.int64), again.instance
     silhouette = _edges(theirs)
     differ = mine != theirs
-    hidden = (mine == 0) & (theirs > 0) & (view.depth_z_m < again.depth_z_m - 5e-3)
-    differ &= ~(hidden & (view.depth_z_m > 0))
+    if "depth" in view.columns:
+        hidden = (mine == 0) & (theirs > 0) & (view.depth_z_m < again.depth_z_m - 5e-3)
+        differ &= ~(hidden & (view.depth_z_m > 0))
     allowed = max(MASK_SHARE * silhouette.sum(), 2)
     measure("mask", differ.sum(), allowed, "pixels differ from the rasterised subjects")
     part = view.part_id
@@ -175,18 +206,21 @@ def _inner(view: View, again: Redrawn) -> NDArray[np.bool_]:
 
 
 def check_depth(measure: Any, view: View, again: Redrawn) -> None:
-    """Depth against the rasterised surface; shares of pixels, since rims may differ."""
-    inner = _inner(view, again)
-    error = np.abs(view.depth_z_m - again.depth_z_m)[inner]
+    """Depth against the rasterised surface; a share of pixels, since rims may differ."""
+    error = np.abs(view.depth_z_m - again.depth_z_m)[_inner(view, again)]
     worst = float(np.quantile(error, 0.999)) if len(error) else np.inf
     measure("depth", worst, DEPTH_M, "m from the rasterised surface (99.9 %)")
-    same = inner.sum() / max((again.face >= 0).sum(), 1)
-    measure("face", 1 - same, 0.06, "share of hand pixels on another face than rasterised")
+    sensor, hand = view.sensor_depth_z_m, view.instance_id > 0
+    if sensor is not None and (hand & (sensor > 0)).any():
+        off = np.abs(sensor / np.where(view.valid, view.depth_z_m, 1) - 1)[hand & (sensor > 0)]
+        measure("sensor depth", np.median(off), SENSOR_SHARE, "of the exact depth (median)")
 
 
 def check_surface(measure: Any, sample: Sample, view: View, again: Redrawn) -> None:
-    """Parts, texture coordinates and normals against faces and depth."""
+    """Faces, parts, texture coordinates and normals against the rasterised surface."""
     inner = _inner(view, again)
+    same = inner.sum() / max((again.face >= 0).sum(), 1)
+    measure("face", 1 - same, 0.06, "share of hand pixels on another face than rasterised")
     for number, subject in enumerate(sample.subjects, start=1):
         own = inner & (again.instance == number)
         if not own.any():
@@ -197,16 +231,17 @@ def check_surface(measure: Any, sample: Sample, view: View, again: Redrawn) -> N
         part = drawn.part(again.face[own], again.barycentric[own])
         wrong = np.mean(part != view.part_id[own])
         measure("parts", wrong, 0.005, "share of pixels with another part than their face")
-    normals = view.normals[view.valid]
+    stored = "depth" in view.columns
+    normals = view.normals[view.valid if stored else view.instance_id > 0]
     length = np.abs(np.linalg.norm(normals, axis=1) - 1).max() if len(normals) else np.inf
     measure("normal length", length, 1e-3, "normals are not unit vectors")
-    bend = _normal_error(view, inner)
+    bend = _normal_error(view, view.depth_z_m if stored else again.depth_z_m, inner)
     measure("normals", bend, 12.0, "degrees (median) from normals of the depth map")
 
 
-def _normal_error(view: View, inner: NDArray[np.bool_]) -> float:
+def _normal_error(view: View, depth_z_m: NDArray[Any], inner: NDArray[np.bool_]) -> float:
     """Median angle between stored normals and those of neighbouring depths, degrees."""
-    K, z = view.camera.K, view.depth_z_m.astype(np.float64)
+    K, z = view.camera.K, depth_z_m.astype(np.float64)
     v, u = np.mgrid[: z.shape[0], : z.shape[1]]
     p = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=-1)
     dx, dy = p[2:-2, 4:] - p[2:-2, :-4], p[4:, 2:-2] - p[:-4, 2:-2]
@@ -217,94 +252,3 @@ def _normal_error(view: View, inner: NDArray[np.bool_]) -> float:
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * view.normals[2:-2, 2:-2][smooth], axis=1)
     return float(np.rad2deg(np.median(np.arccos(np.clip(cosine, -1, 1)))))
-
-
-def check_image(measure: Any, sample: Sample, view: View) -> None:
-    """Check that the picture shows this scene: skin is red over blue, edges where labels have."""
-    skin = (view.part_id > 0) & (view.part_id <= PART_FOREARM)
-    if skin.sum() < 50:
-        return
-    mean = view.image[skin].astype(np.float64).mean(axis=0)
-    if _redness(sample) > 1.1:
-        measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
-    measure("stale image", -_edge_rank(view), -0.56, "no edge where the labels have theirs")
-    mirrored = _mirrored_gain(view)
-    measure("mirrored image", mirrored, 1.0, "edges follow the mirrored labels, not the labels")
-
-
-def _redness(sample: Sample) -> float:
-    """Least red over blue of the skins as the picture may show them, by the truth.
-
-    A camera that balances white leaves a quarter of the light's hue (in its logarithm), and its
-    own error.
-    """
-    scene = sample.spec.scene
-    colours = [scene.lights.constant_rgb, *(lamp.radiance_rgb for lamp in scene.lights.area)]
-    hues = [c[0] / max(c[2], 1e-9) for c in colours if sum(c) > 0]
-    hues += [SKY_HUE] if scene.lights.sky is not None else []
-    balanced = scene.sensor.white_balance
-    light = min(hues) ** (0.25 if balanced else 1.0)
-    error = scene.sensor.balance_error
-    skins = [s.skin.dorsal_rgb[0] / s.skin.dorsal_rgb[2] for s in scene.subjects]
-    return float(min(skins) * light * error[0] / error[2])
-
-
-def _edge_rank(view: View) -> float:
-    """Share of the labels' edge pixels where the picture changes more than it does around them.
-
-    Around: 24 places 8 to 24 px away; 0.5 by chance, whatever the contrast.
-    """
-    grey = _grey(view)
-    change = np.zeros_like(grey)
-    change[2:-3, 2:-3] = np.abs(grey[4:-1, 2:-3] - grey[:-5, 2:-3])
-    change[2:-3, 2:-3] += np.abs(grey[2:-3, 4:-1] - grey[2:-3, :-5])
-    outline = np.argwhere(_label_edges(view))
-    size = np.array(grey.shape)
-    outline = outline[np.all((outline >= 30) & (outline < size - 30), axis=1)]
-    if len(outline) < 100:
-        return 1.0  # too little to tell
-    turns = np.arange(8) * np.pi / 4
-    around = [
-        change[tuple((outline + np.rint([r * np.sin(a), r * np.cos(a)]).astype(int)).T)]
-        for r in (8, 16, 24)
-        for a in turns
-    ]
-    return float(np.mean(change[tuple(outline.T)] > np.median(around, axis=0)))
-
-
-def _mirrored_gain(view: View) -> float:
-    """Image contrast across the labels' edges mirrored over that across the edges."""
-    grey = _grey(view)
-    outline = np.argwhere(_label_edges(view))
-    flipped = np.stack([outline[:, 0], grey.shape[1] - outline[:, 1]], axis=1)
-    return _contrast(grey, flipped) / max(_contrast(grey, outline), 1e-6)
-
-
-def _grey(view: View) -> Array:
-    """Lightness (H, W), blurred by a pixel: noise of few light paths would drown the edges."""
-    grey = view.image.astype(np.float64) @ [0.299, 0.587, 0.114]
-    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
-
-
-def _label_edges(view: View) -> NDArray[np.bool_]:
-    """Pixels where instances meet or depth jumps."""
-    return np.asarray(_edges(view.instance_id.astype(np.int64)) | _jumps(view))
-
-
-def _jumps(view: View) -> NDArray[np.bool_]:
-    """Where depth jumps by over 5 % between neighbours."""
-    z = np.log(np.maximum(view.depth_z_m, 1e-3))
-    jump = np.zeros(z.shape, dtype=bool)
-    jump[:, 1:] |= np.abs(z[:, 1:] - z[:, :-1]) > 0.05
-    jump[1:] |= np.abs(z[1:] - z[:-1]) > 0.05
-    return jump
-
-
-def _contrast(grey: Array, where: NDArray[np.int64]) -> float:
-    size = np.array(grey.shape)
-    inside = where[np.all((where >= 3) & (where < size - 3), axis=1)]
-    if len(inside) == 0:
-        return 0.0
-    r, c = inside.T
-    step = np.abs(grey[r + 2, c] - grey[r - 3, c]) + np.abs(grey[r, c + 2] - grey[r, c - 3])
-    return float(step.mean())

@@ -28,15 +28,13 @@ SMALL_PX, MOST_SPLITS = 10.0, 10
 class Redrawn:
     """Subjects and things of a view, (H, W, ...).
 
-    ``face`` is -1 off hands; ``covered`` tells where something that is no hand is nearest, though
-    a hand is behind it; walls and lamps are not drawn.
+    ``face`` is -1 off hands; walls and lamps are not drawn.
     """
 
     instance: Ids
     face: Ids
     barycentric: Array
     depth_z_m: Array
-    covered: NDArray[np.bool_]
 
 
 def redraw(sample: Sample, view: View) -> Redrawn:
@@ -53,16 +51,12 @@ def redraw(sample: Sample, view: View) -> Redrawn:
         nearer = (prim >= 0) & (z < depth)
         instance[nearer], depth[nearer] = number, z[nearer]
         face[nearer], barycentric[nearer] = drawn.parent(front[prim[nearer]], weights[nearer])
-    hands = depth.copy()
     for number, mesh in _others(sample):
         prim, _, z = rasterise(*_small_faces(mesh, camera), camera)
         nearer = (prim >= 0) & (z < depth)
         instance[nearer], depth[nearer], face[nearer] = number, z[nearer], -1
         barycentric[nearer] = 0
-    return Redrawn(
-        instance, face, barycentric, np.where(np.isfinite(depth), depth, 0),
-        covered=np.isfinite(hands) & (depth < hands),
-    )  # fmt: skip
+    return Redrawn(instance, face, barycentric, np.where(np.isfinite(depth), depth, 0))
 
 
 def _surface(subject: Subject) -> tuple[NDArray[np.float32], Array | None]:

@@ -20,12 +20,16 @@ class Failure:
 
 @dataclass
 class VerifyReport:
-    """Failures, and per check the worst value seen beside its limit."""
+    """Failures, and per check the worst value seen beside its limit.
+
+    ``lacking`` counts views by the column that they lack: ``depth`` where a corpus stores none.
+    """
 
     samples: int = 0
     views: int = 0
     failures: list[Failure] = field(default_factory=list)
     worst: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lacking: dict[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -47,6 +51,7 @@ class VerifyReport:
             "ok": self.ok,
             "samples": self.samples,
             "views": self.views,
+            "lacking": self.lacking,
             "worst": {k: {"value": v, "limit": m} for k, (v, m) in sorted(self.worst.items())},
             "failures": [asdict(failure) for failure in self.failures],
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,15 @@ from synthgen.corpus.sample import Sample, View
 from synthgen.geometry.cameras import camera_from_K, pixel_rays
 from synthgen.geometry.normals import unit
 
+if TYPE_CHECKING:
+    from synthgen.scanner import Scan
+
 Array = NDArray[np.float64]
 HAND_PARTS = 16
 # Neighbouring pixels whose depths differ by more than this share of the depth are two surfaces.
 JUMP, GRAZING = 0.012, 0.2
+# Errors that neighbours share do not average out: a sensor's are taken as means over such cells.
+CELL_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,49 +34,78 @@ class StoredPoints:
     source : "scan", "sensor depth", "depth" or "none"
     noise_m : float
         What the stored form alone explains: the rounding of the depth.
-    viewpoints : (C, 3)
+    bias_m : float
+        RMS of the errors of sensor or scanner that neighbours share, by the stored truth.
+    viewpoints : (C, 3) or None
+        Where the sensors stood, where that is stored.
+    exact : (N, 3)
+        The points without the sensor's error, where the exact depth is stored beside: they must
+        lie on the true surface, however poor the sensor.
     """
 
     points: Array
     normals: Array
     source: str
     noise_m: float
-    viewpoints: Array
+    bias_m: float
+    viewpoints: Array | None
+    exact: Array
 
 
 def stored_points(sample: Sample, number: int) -> StoredPoints:
     """Gather the points of hand ``number`` (0, 1, ...) of a sample from what is stored."""
-    scan: Any = sample.scan
+    if sample.scan is not None:
+        return _scan_points(sample.scan)
     eyes = np.array([view.camera.T_world_from_camera[:3, 3] for view in sample.views])
-    if scan is not None:
-        return StoredPoints(np.asarray(scan.vertices, np.float64),
-                            np.asarray(scan.normals, np.float64), "scan", 2e-4, eyes)  # fmt: skip
-    clouds = [_view_cloud(view, number) for view in sample.views]
-    found = [cloud for cloud in clouds if cloud is not None]
-    if not found:
+    clouds = [cloud for view in sample.views if (cloud := _view_cloud(view, number)) is not None]
+    if not clouds:
         nothing = np.zeros((0, 3))
-        return StoredPoints(nothing, nothing, "none", 0.0, eyes)
-    points = np.concatenate([c[0] for c in found])
-    normals = np.concatenate([c[1] for c in found])
-    return StoredPoints(points, normals, found[0][2], DEPTH_STEP_M / np.sqrt(12), eyes)
+        return StoredPoints(nothing, nothing, "none", 0.0, 0.0, eyes, nothing)
+    points, normals, exact = (np.concatenate([c[k] for c in clouds]) for k in range(3))
+    bias = shared_error(points, np.sum((points - exact) * normals, axis=1))
+    source = "sensor depth" if "sensor_depth" in sample.views[0].meta else "depth"
+    return StoredPoints(points, normals, source, DEPTH_STEP_M / np.sqrt(12), bias, eyes, exact)
 
 
-def _view_cloud(view: View, number: int) -> tuple[Array, Array, str] | None:
-    """Points and normals of a hand in one view, or None where the view has no depth."""
-    try:
-        sensor: Any = view.sensor_depth_z_m
-        depth = np.asarray(view.depth_z_m if sensor is None else sensor, dtype=np.float64)
-    except KeyError:
+def _scan_points(scan: Scan) -> StoredPoints:
+    """Take a scan as its user gets it; its cameras are known where its pictures are stored."""
+    points, normals = scan.vertices.astype(np.float64), scan.normals.astype(np.float64)
+    error = scan.provenance.get("error_m", np.zeros(len(points)))
+    known = np.isfinite(error)
+    bias = shared_error(points[known], error[known])
+    eyes = [side.position for unit in scan.units for side in (unit.pair.left, unit.pair.right)]
+    viewpoints = np.array(eyes) if eyes else None
+    return StoredPoints(points, normals, "scan", 0.0, bias, viewpoints, points)
+
+
+def shared_error(points: Array, error: NDArray[Any]) -> float:
+    """Root mean square of the mean errors (N,) in cells of 1 cm of the points (N, 3)."""
+    if len(points) == 0:
+        return 0.0
+    cells = np.floor(points / CELL_M).astype(np.int64)
+    cell = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    count = np.bincount(cell)
+    mean = np.bincount(cell, np.asarray(error, np.float64)) / count
+    return float(np.sqrt(np.average(mean**2, weights=count)))
+
+
+def _view_cloud(view: View, number: int) -> tuple[Array, Array, Array] | None:
+    """Points, normals and exact points of a hand in one view, or None where it has no depth."""
+    if not {"depth", "labels"} <= view.columns:
         return None
+    sensor: Any = view.sensor_depth_z_m
+    depth = np.asarray(view.depth_z_m if sensor is None else sensor, dtype=np.float64)
     mine = (view.instance_id == number + 1) & (view.part_id <= HAND_PARTS) & (view.part_id > 0)
     grid = _grid(view, depth)
     normals, sound = _normals(grid, depth, mine)
     T = view.camera.T_world_from_camera
-    points = grid[sound] @ T[:3, :3].T + T[:3, 3]
-    return points, normals @ T[:3, :3].T, "depth" if sensor is None else "sensor depth"
+    points, exact = (
+        found[sound] @ T[:3, :3].T + T[:3, 3] for found in (grid, _grid(view, view.depth_z_m))
+    )
+    return points, normals @ T[:3, :3].T, exact
 
 
-def _grid(view: View, depth: Array) -> Array:
+def _grid(view: View, depth: NDArray[Any]) -> Array:
     """Points (H, W, 3) in the camera's frame."""
     c = view.camera
     camera = camera_from_K(c.K, c.width, c.height, None, c.distortion)
