@@ -153,8 +153,8 @@ def stage_terms(
             stage.cosine,
             stage.tangential,
             curved,
-            {} if stage.cut_m <= WALK_M else None,
-        )  # fmt: skip
+            memory={} if stage.cut_m <= WALK_M else None,
+        )
     ]
     if stage.mesh_to_scan > 0:
         terms.append(
