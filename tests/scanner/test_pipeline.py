@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -106,6 +107,15 @@ def test_edge_dark_projectors_are_told_by_unit() -> None:
     assert found.problem is not None
     assert "unit front" in found.problem and "unit right" in found.problem
     assert all(unit.problem for unit in found.units)
+
+
+def test_edge_too_little_for_a_surface_is_told_by_unit() -> None:
+    """Nothing went wrong in any unit, and still there is no scan: how much did each measure?"""
+    found = scanned(load_rig("mini"), mesh=trimesh.creation.icosphere(radius=0.004))
+    assert len(found.vertices) == 0
+    assert found.problem is not None
+    assert "least_faces" in found.problem
+    assert re.search(r"unit front: measured \d+ points; unit right: measured \d+", found.problem)
 
 
 def test_edge_too_small_a_disparity_range_is_told() -> None:
