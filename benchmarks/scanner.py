@@ -302,7 +302,7 @@ def hand() -> list[Row]:
     best = measure(stage, rig.unit(facing.unit.ident), "full", _settings(rig, match=BEST))
     b = pair_figures(best.unit)
     found = assemble(parts, scene, "full", _settings(rig))
-    skin = solid.faces[held.source >= 0][::3]
+    skin = solid.faces[held.source >= 0]
     points, normals, areas = surface_samples(solid.vertices, skin)
     known = seen_by_pairs(stage, rig.units, points, normals)
     seen, invented = coverage(found, points, areas, known, 1e-3)
