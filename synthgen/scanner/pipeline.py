@@ -115,8 +115,7 @@ def assemble(
         if not settings.fill_voxels:
             vertices, faces = cut_unsupported(vertices, faces, grids, settings.fusion)
     except ScanError as error:
-        why = "; ".join(u.problem for u in units if u.problem)
-        return empty_scan(units, level, f"{error}. {why}" if why else str(error))
+        return empty_scan(units, level, f"{error}. {'; '.join(map(_account, parts))}")
     normals = vertex_normals(vertices, faces)
     views = [part.view for part in parts if part.view is not None]
     coloured = colour_vertices(vertices, normals, faces, views)
@@ -145,6 +144,12 @@ def assemble(
         units=units,
         level=level,
     )
+
+
+def _account(part: Measurement) -> str:
+    """Say what a unit has to do with an empty scan."""
+    count = 0 if part.grid is None else int(part.grid.known.sum())
+    return part.unit.problem or f"unit {part.unit.ident}: measured {count} points"
 
 
 def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> Measurement:

@@ -18,6 +18,8 @@ from synthgen.scanner.stage import Stage
 Report = dict[str, Any]
 # Rows that are off by less hardly disturb matching.
 NOTABLE_PX = 0.2
+# Found by going on from neighbours that lie within.
+NOTABLE_SHARE = 0.01
 
 
 def scan_report(stage: Stage, units: dict[str, Report]) -> Report:
@@ -34,7 +36,7 @@ def scan_report(stage: Stage, units: dict[str, Report]) -> Report:
         "rig": rig.name,
         "rig_digest": rig.digest,
         "scanner_seed": rig.seed,
-        "notes": [*_calibration(rig), *stage.notes, *_rows(units)],
+        "notes": [*_calibration(rig), *stage.notes, *_rows(units), *_reach(units)],
         "units": units,
     }
 
@@ -50,10 +52,12 @@ def unit_report(
     dict
         ``problem`` (why it gave nothing, or what is doubtful) or None; ``time_s`` of its exposure;
         ``lit_by``, its projectors; ``epipolar_rms_px``, by how much its rows do not correspond;
-        ``searched_px`` and ``found_px``, lowest and highest disparity; counts of samples of its
-        grid: ``matched``, and of these ``kept`` off edges and steep places.
+        ``searched_px`` and ``found_px``, lowest and highest disparity, and ``beyond``, the share of
+        what was found that lies beyond what was searched; counts of samples of its grid:
+        ``matched``, and of these ``kept`` off edges and steep places.
     """
     found = grid.disparity[grid.matched]
+    beyond = (found < bounds[0]) | (found > bounds[1])
     return {
         "problem": problem,
         "time_s": unit_time(stage, unit),
@@ -61,6 +65,7 @@ def unit_report(
         "epipolar_rms_px": stage.rig.epipolar_px[unit.index],
         "searched_px": list(bounds),
         "found_px": [float(found.min()), float(found.max())] if len(found) else None,
+        "beyond": float(beyond.mean()) if len(found) else 0.0,
         "matched": len(found),
         "kept": 0 if points is None else int(points.known.sum()),
     }
@@ -101,4 +106,15 @@ def _rows(units: dict[str, Report]) -> list[str]:
         f"unit {ident}: rows were put right by {offset:+.2f} px"
         for ident, offset in moved.items()
         if abs(offset) > NOTABLE_PX
+    ]
+
+
+def _reach(units: dict[str, Report]) -> list[str]:
+    """Tell where the subject reaches out of the working volume's depths."""
+    return [
+        f"unit {ident}: the subject reaches beyond the working volume's disparities, "
+        f"{r['searched_px'][0]:.0f}..{r['searched_px'][1]:.0f} px, where it is measured in part "
+        "only; enlarge the rig's volume_m or move the subject"
+        for ident, r in units.items()
+        if r["beyond"] > NOTABLE_SHARE
     ]

@@ -76,7 +76,7 @@ class PatternSpec(Section):
     """Number of different slides; the projectors take them in turn."""
 
     image: str = Field(default="", max_length=4096)
-    """Path of a picture (``image``)."""
+    """Path of a picture (``image``); a relative one starts at the rig's file."""
 
     @model_validator(mode="after")
     def _image_where_asked(self) -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -150,6 +151,15 @@ def test_edge_wrong_use() -> None:
              settings=settings_for(rig))  # fmt: skip
     with pytest.raises(ScanError, match=r"left camera .* inside solid 0.* in metres"):
         scanned(rig, mesh=BALL.copy().apply_scale(1000))
+
+
+def test_edge_too_little_for_a_surface_is_told_by_unit() -> None:
+    """Nothing went wrong in any unit, and still there is no scan: how much did each measure?"""
+    found = scanned(load_rig("mini"), mesh=trimesh.creation.icosphere(radius=0.004))
+    assert len(found.vertices) == 0
+    assert found.problem is not None
+    assert "least_faces" in found.problem
+    assert re.search(r"unit front: measured \d+ points; unit right: measured \d+", found.problem)
 
 
 def test_edge_too_small_a_disparity_range_is_told() -> None:
