@@ -56,8 +56,8 @@ class MatchSettings:
     seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
-    correlation: float = 0.83
-    sweeps: int = 4
+    correlation: float = 0.85
+    sweeps: int = 8
     agreement_px: float = 0.3
     correct_curvature: bool = True
     dic: DicSettings = field(default_factory=DicSettings)
