@@ -68,7 +68,7 @@ VERBS = {
     ],
     "train-init": ["MODEL", "--out", "--seconds", "--hands", "--json"],
     "preview": ["DIR", "--out", "--sheet", "--json"],
-    "bench": ["NAME", "--report", "--json"],
+    "bench": ["NAME", "--rows", "--report", "--json"],
 }  # fmt: skip
 
 
