@@ -59,8 +59,8 @@ class MatchSettings:
     seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
-    correlation: float = 0.83
-    sweeps: int = 4
+    correlation: float = 0.85
+    sweeps: int = 8
     agreement_px: float = 0.3
     rows: int = 0
     correct_curvature: bool = True

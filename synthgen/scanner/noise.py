@@ -1,10 +1,11 @@
 """The scanner's noise without its pictures: a model of matching errors, fitted to measured ones.
 
 Residuals of a matcher (measured minus ideal disparity) are no white noise: within a window they
-are one error, on slanted surfaces they grow, near edges samples are missing and bent. The model
-has just these: white noise smoothed to the window's scale, a standard deviation that grows with
-the disparity's slope, a share of wilder errors, smoothing of the shape itself, and the chance that
-a sample is matched at all by its distance from the nearest edge and by its slope.
+are one error, with slant they change, near edges samples are missing and bent, and on dark skin,
+where gloss has more of the light, all gets worse. The model has just these: white noise smoothed to
+the window's scale, a part of it to a longer one, a standard deviation per slope of the disparity, a
+share of wilder errors, smoothing of the shape itself, the chance that a sample is matched at all by
+its distance from the nearest edge and by its slope, and a power of the reflectance.
 ``benchmarks/scanner_noise.py`` fits it; the results are ``scenes/noise/*.yaml``.
 """
 
@@ -30,6 +31,7 @@ Grid = NDArray[np.float32]
 SLOPES = (0.1, 0.2, 0.3, 0.45, 0.7)
 """Upper ends of the bins of slope (pixels of disparity per pixel); the last bin is open."""
 
+_DARKEST = 0.02
 _Positive = Annotated[float, Field(ge=0.0, le=20.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -52,6 +54,12 @@ class NoiseModel(Section):
     correlation_px: _Positive
     """Standard deviation of the Gaussian that white noise is smoothed with."""
 
+    long_part: _Share = 0.0
+    """Standard deviation, in ``sigma_px``, of what hangs together over a longer way."""
+
+    long_px: float = Field(default=60.0, ge=1.0, le=500.0)
+    """Standard deviation of the Gaussian of that part."""
+
     smooth_px: _Positive
     """Standard deviation of the Gaussian that the shape is smoothed with."""
 
@@ -60,6 +68,16 @@ class NoiseModel(Section):
 
     slope_share: tuple[_Share, ...]
     """Share of samples matched per bin of slope, away from edges."""
+
+    albedo: float = Field(default=0.3, gt=0.0, le=1.0)
+    """Grey reflectance for which all this holds."""
+
+    albedo_power: float = Field(default=0.0, ge=0.0, le=2.0)
+    """Errors grow as the reflectance to minus this, the share that is not matched as its square."""
+
+    def strength(self, albedo: float) -> float:
+        """Return how many times larger the errors are on a surface of some grey reflectance."""
+        return float((max(albedo, _DARKEST) / self.albedo) ** -self.albedo_power)
 
 
 def load_noise(name: str) -> NoiseModel:
@@ -87,21 +105,29 @@ def load_noise(name: str) -> NoiseModel:
 
 
 def add_noise(
-    ideal: Grid, step: int, shape: tuple[int, int], model: NoiseModel, *, rng: np.random.Generator
-) -> DisparityGrid:
+    ideal: Grid, step: int, shape: tuple[int, int], model: NoiseModel, *,
+    rng: np.random.Generator, strength: float = 1.0,
+) -> DisparityGrid:  # fmt: skip
     """Return what a scanner might have measured where the ideal disparities (h, w) are known.
 
-    ``step`` and ``shape`` describe the grid and the rectified picture.
+    ``step`` and ``shape`` describe the grid and the rectified picture; ``strength`` is
+    :meth:`NoiseModel.strength` of the surface.
     """
     known = np.isfinite(ideal)
-    sigma = np.array(model.sigma_px)[slope_bin(ideal, step)]
-    noise = _correlated(ideal.shape, model.correlation_px / step, rng=rng)
-    wild = _correlated(ideal.shape, model.correlation_px / step, rng=rng)
+    sigma = strength * np.array(model.sigma_px)[slope_bin(ideal, step)]
+    near = model.correlation_px / step
+    noise = _correlated(ideal.shape, near, rng=rng)
+    wild = _correlated(ideal.shape, near, rng=rng)
     limit = np.quantile(np.abs(wild), 1 - model.wild_share) if model.wild_share else np.inf
-    factor = np.where(np.abs(wild) > limit, model.wild_factor, 1.0)
-    found = smoothed(ideal, model.smooth_px / step) + sigma * factor * noise
-    luck = _uniform(_correlated(ideal.shape, model.correlation_px / step, rng=rng))
+    noise = noise * np.where(np.abs(wild) > limit, np.float32(model.wild_factor), np.float32(1))
+    luck = _uniform(_correlated(ideal.shape, near, rng=rng))
+    if model.long_part:
+        far = _correlated(ideal.shape, model.long_px / step, rng=rng)
+        whole = 1 + model.wild_share * (model.wild_factor**2 - 1)
+        noise = np.sqrt(1 - model.long_part**2 / whole) * noise + model.long_part * far
+    found = smoothed(ideal, model.smooth_px / step) + sigma * noise
     share = np.array(model.slope_share)[slope_bin(ideal, step)]
+    share = 1 - np.minimum(strength**2 * (1 - share), 1)
     edge = np.array(model.edge_share)[edge_bin(known, len(model.edge_share))]
     kept = known & (luck < share * edge)
     return DisparityGrid(

@@ -7,14 +7,23 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import erfc
 
 from synthgen.errors import ShapeError
 from synthgen.scanner.noise import SLOPES, Grid, NoiseModel, edge_bin, slope_bin, smoothed
 
-_EDGE_BINS, _INNER, _LAGS, _LARGEST_PX, _WILD = 6, 3, 6, 2.0, 2.5
+_EDGE_BINS, _INNER, _LAGS, _LARGEST_PX = 6, 3, 4, 2.0
+# Multiples of the robust deviation beyond which errors are counted to tell wild ones.
+_BEYOND = (0.6745, 1.5, 2.5, 4.0, 6.0)
+# Lags, samples, at which the window's own correlation is gone.
+_FAR = (8, 16, 24)
+_LEAST_LONG, _CLIP = 0.03, 5.0
 
 
-def fit_noise(pairs: Sequence[tuple[Grid, Grid]], step: int) -> NoiseModel:
+def fit_noise(
+    pairs: Sequence[tuple[Grid, Grid]], step: int, albedo: Sequence[float] | None = None
+) -> NoiseModel:
     """Fit the noise model.
 
     Parameters
@@ -23,6 +32,8 @@ def fit_noise(pairs: Sequence[tuple[Grid, Grid]], step: int) -> NoiseModel:
         Disparity grids (h, w), pixels, NaN where unknown.
     step : int
         Pixels between their samples.
+    albedo : sequence of float, optional
+        Grey reflectance of what each pair saw; without it errors do not depend on it.
 
     Raises
     ------
@@ -37,21 +48,44 @@ def fit_noise(pairs: Sequence[tuple[Grid, Grid]], step: int) -> NoiseModel:
     # Near edges samples are missing rather than noisy, and filters remove what is left.
     inner = [edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER for _, ideal in pairs]
     residuals = [np.where(i, r, np.nan) for i, r in zip(inner, residuals, strict=True)]
+    tones = np.ones(len(pairs)) if albedo is None else np.array(albedo, np.float64)
+    reference, power = _tone(residuals, tones)
+    strength = (tones / reference) ** -power
+    residuals = [r / np.float32(k) for r, k in zip(residuals, strength, strict=True)]
     bins = [slope_bin(ideal, step) for _, ideal in pairs]
     sigma = _sigma_per_bin(residuals, bins)
-    scaled = [r / sigma[b] for r, b in zip(residuals, bins, strict=True)]
-    share, factor = _wildness(scaled)
-    edge, slope = _matched_shares(pairs, bins)
+    share, factor, base = _wildness([r / sigma[b] for r, b in zip(residuals, bins, strict=True)])
+    sigma = sigma * base
+    near, long_part, far = _correlation(
+        [r / sigma[b] for r, b in zip(residuals, bins, strict=True)]
+    )
+    edge, slope = _matched_shares(pairs, bins, strength)
     return NoiseModel(
         step=step,
         sigma_px=tuple(float(round(v, 5)) for v in sigma),
         wild_share=round(share, 4),
         wild_factor=round(factor, 2),
-        correlation_px=round(_correlation(scaled) * step, 2),
+        correlation_px=round(near * step, 2),
+        long_part=round(long_part, 3),
+        long_px=round(far * step, 1),
         smooth_px=round(float(smooth) * step, 2),
         edge_share=tuple(float(round(v, 3)) for v in edge),
         slope_share=tuple(float(round(v, 3)) for v in slope),
+        albedo=round(reference, 3),
+        albedo_power=round(power, 3),
     )
+
+
+def _tone(residuals: list[Grid], albedo: NDArray[np.float64]) -> tuple[float, float]:
+    """Reflectance in the middle, and the power of it by which the pairs' deviations fall."""
+    middle = float(np.exp(np.mean(np.log(albedo))))
+    if np.ptp(np.log(albedo)) < np.log(1.5):
+        return middle, 0.0
+    enough = np.array([np.isfinite(r).sum() > 300 for r in residuals])
+    spread = [1.4826 * float(np.nanmedian(np.abs(r))) if e else 1.0
+              for r, e in zip(residuals, enough, strict=True)]  # fmt: skip
+    slope = np.polyfit(np.log(albedo[enough]), np.log(np.array(spread)[enough]), 1)[0]
+    return middle, float(np.clip(-slope, 0, 2))
 
 
 def _spread(pairs: Sequence[tuple[Grid, Grid]], sigma: float) -> float:
@@ -73,47 +107,77 @@ def _sigma_per_bin(residuals: list[Grid], bins: list[NDArray[np.int64]]) -> NDAr
     return np.asarray(np.interp(np.arange(len(SLOPES)), known, sigma[known]))
 
 
-def _wildness(scaled: list[NDArray[Any]]) -> tuple[float, float]:
-    """Share of samples beyond 2.5 sigma that a normal law does not explain, and their scale."""
+def _wildness(scaled: list[NDArray[Any]]) -> tuple[float, float, float]:
+    """Share and scale of wilder errors, and the scale of the others, in robust deviations.
+
+    A mixture of two normal laws that has the same shares beyond some bounds.
+    """
     values = np.abs(np.concatenate([s[np.isfinite(s)] for s in scaled]))
     values = values[values < _LARGEST_PX / 0.02]
-    beyond = values[values > _WILD]
-    share = max(len(beyond) / len(values) - 0.0124, 0.0)
-    if share == 0.0:
-        return 0.0, 1.0
-    factor = float(np.sqrt(np.mean(np.clip(beyond, 0, 20) ** 2)) / 1.5)
-    return share, max(factor, 1.0)
+    bounds = np.array(_BEYOND)
+    beyond = np.array([(values > b).mean() for b in bounds])
+    if beyond[2] < 1.2 * erfc(bounds[2] / np.sqrt(2)):
+        return 0.0, 1.0, 1.0
+
+    def misfit(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        share, factor, base = x
+        z = bounds / (base * np.sqrt(2))
+        expected = (1 - share) * erfc(z) + share * erfc(z / factor)
+        return np.asarray(np.log(expected + 1e-6) - np.log(beyond + 1e-6))
+
+    found = least_squares(misfit, [0.05, 4.0, 0.9], bounds=([0, 1, 0.5], [0.5, 20, 1.0]))
+    share, factor, base = (float(v) for v in found.x)
+    return share, factor, base
 
 
-def _correlation(scaled: list[NDArray[Any]]) -> float:
-    """Sigma, samples, of the smoothing that gives the residuals' autocorrelation.
+def _correlation(scaled: list[NDArray[Any]]) -> tuple[float, float, float]:
+    """Sigma, samples, of the smoothing behind the residuals' autocorrelation, and its long part.
 
-    White noise under a Gaussian of sigma s has the autocorrelation exp(-lag^2 / (4 s^2)).
+    White noise under a Gaussian of sigma s has the autocorrelation exp(-lag^2 / (4 s^2)). What is
+    left where a window's errors have nothing in common any more is the long part: its standard
+    deviation, and its own sigma.
     """
-    clipped = [np.clip(s, -3, 3) for s in scaled]
-    zero = np.nanmean(np.concatenate([c.ravel() for c in clipped]) ** 2)
+    clipped = [np.clip(s, -_CLIP, _CLIP) for s in scaled]
+    zero = _at_lag(clipped, 0)
+    far = [max(_at_lag(clipped, lag) / zero, 0.0) for lag in _FAR]
+    share = far[0] if far[0] > _LEAST_LONG else 0.0
+    fall = np.log(max(far[0], 1e-3) / max(far[-1], 1e-3))
+    reach = float(np.sqrt((_FAR[-1] ** 2 - _FAR[0] ** 2) / (4 * max(fall, 0.05))))
     found = []
-    for lag in range(1, _LAGS):
-        across = [c[:, lag:] * c[:, :-lag] for c in clipped]
-        down = [c[lag:] * c[:-lag] for c in clipped]
-        mean = np.nanmean(np.concatenate([p.ravel() for p in across + down])) / zero
-        if mean < 0.1:
+    for lag in range(1, _LAGS + 1):
+        near = (_at_lag(clipped, lag) / zero - share) / (1 - share)
+        if near < 0.1:
             break
-        found.append(lag / np.sqrt(-4 * np.log(min(mean, 0.999))))
-    return float(np.mean(found)) if found else 0.0
+        found.append(lag / np.sqrt(-4 * np.log(min(near, 0.999))))
+    return float(np.mean(found)) if found else 0.0, min(float(np.sqrt(share * zero)), 0.9), reach
+
+
+def _at_lag(clipped: list[NDArray[Any]], lag: int) -> float:
+    """Mean product of samples that lie ``lag`` apart, across and down."""
+    across = [(c[:, lag:] * c[:, : c.shape[1] - lag]).ravel() for c in clipped]
+    down = [(c[lag:] * c[: len(c) - lag]).ravel() for c in clipped]
+    return float(np.nanmean(np.concatenate(across + down)))
 
 
 def _matched_shares(
-    pairs: Sequence[tuple[Grid, Grid]], bins: list[NDArray[np.int64]]
+    pairs: Sequence[tuple[Grid, Grid]],
+    bins: list[NDArray[np.int64]],
+    strength: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share of samples that were matched, by distance from edges, and by slope away from them."""
+    """Share of samples that were matched, by distance from edges, and by slope away from them.
+
+    What was lost is counted as on a surface of strength 1.
+    """
     known = np.concatenate([np.isfinite(ideal).ravel() for _, ideal in pairs])
-    matched = np.concatenate([np.isfinite(measured).ravel() for measured, _ in pairs])[known]
+    matched = np.concatenate([
+        1 - ~np.isfinite(measured).ravel() / k**2
+        for (measured, _), k in zip(pairs, strength, strict=True)
+    ])[known]  # fmt: skip
     edges = [edge_bin(np.isfinite(ideal), _EDGE_BINS).ravel() for _, ideal in pairs]
     edge = np.concatenate(edges)[known]
     slope = np.concatenate([b.ravel() for b in bins])[known]
     inner = edge == _EDGE_BINS - 1
-    by_slope = np.array([_share(matched, inner & (slope == k)) for k in range(len(SLOPES))])
+    by_slope = np.clip([_share(matched, inner & (slope == k)) for k in range(len(SLOPES))], 0, 1)
     expected = by_slope[slope]  # edges are steep: what the slope explains is not the edge's
     by_edge = np.array(
         [matched[edge == k].sum() / max(expected[edge == k].sum(), 1e-6) for k in range(_EDGE_BINS)]
@@ -121,5 +185,5 @@ def _matched_shares(
     return np.clip(by_edge, 0, 1), by_slope
 
 
-def _share(matched: NDArray[np.bool_], where: NDArray[np.bool_]) -> float:
+def _share(matched: NDArray[np.float64], where: NDArray[np.bool_]) -> float:
     return float(matched[where].mean()) if where.any() else 0.0

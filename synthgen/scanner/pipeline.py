@@ -260,4 +260,5 @@ def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings)
     model = load_noise("consumer" if stage.rig.reconstruction.matcher == "census" else "hand5")
     shape = pair.camera.height, pair.camera.width
     rng = stream(stage.key, "sample", unit.index, 0, "matching")
-    return add_noise(ideal, step, shape, model, rng=rng)
+    strength = model.strength(stage.mesh.parts[0].solid.surface.albedo)
+    return add_noise(ideal, step, shape, model, rng=rng, strength=strength)

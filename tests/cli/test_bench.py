@@ -49,3 +49,24 @@ def test_edge_no_checkout(
     monkeypatch.setattr(bench, "FOLDER", tmp_path / "none")
     assert main(["bench", "speed"]) == 2
     assert "checkout" in capsys.readouterr().err
+
+
+PARTED = """
+def run(rows=(), pictures="own"):
+    return {"title": "T", "columns": ["rows", "to"], "rows": [["+".join(rows), str(pictures)]]}
+"""
+
+
+def test_properties_rows_and_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "parted.py").write_text(PARTED)
+    assert main(["bench", "parted", "--rows", "a,b"]) == 0
+    assert "a+b   own" in capsys.readouterr().out
+    assert main(["bench", "parted", "--report", str(folder / "r.json")]) == 0
+    assert "r_pictures" in capsys.readouterr().out
+    assert main(["bench", "speed", "--rows", "a"]) == 2
+    assert "no rows to choose" in capsys.readouterr().err
+
+
+def test_edge_unknown_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "scanner", "--rows", "plane"]) == 2
+    assert "did you mean 'planes'" in capsys.readouterr().err

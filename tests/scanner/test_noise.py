@@ -48,6 +48,44 @@ def test_reference_fit_finds_its_own_model(pairs: Any) -> None:
     assert found.smooth_px <= 1.0
 
 
+def test_reference_fit_finds_wild_long_and_dark_parts() -> None:
+    """Errors of a tenth of the samples four times as large, a long part, darker is worse."""
+    hard = MODEL.model_copy(
+        update={"wild_share": 0.12, "long_part": 0.5, "long_px": 45.0, "albedo": 0.2,
+                "albedo_power": 0.4}
+    )  # fmt: skip
+    rng = stream(1, "sample", 0, 0, "noise")
+    albedo = [0.05, 0.1, 0.4, 0.8] * 2
+    made = []
+    for k, tone in enumerate(albedo):
+        ideal = dome(k)
+        grid = add_noise(ideal, 3, (603, 723), hard, rng=rng, strength=hard.strength(tone))
+        made.append((grid.disparity, ideal))
+    found = fit_noise(made, 3, albedo)
+    assert found.albedo == pytest.approx(0.2, rel=1e-3)
+    assert found.albedo_power == pytest.approx(0.4, abs=0.08)
+    assert found.sigma_px[0] == pytest.approx(hard.sigma_px[0], rel=0.25)
+    assert found.wild_share * (found.wild_factor**2 - 1) == pytest.approx(0.12 * 15, rel=0.3)
+    assert found.long_part == pytest.approx(0.5, abs=0.15)
+    assert found.correlation_px == pytest.approx(4.5, rel=0.2)
+
+
+def test_properties_strength() -> None:
+    dark = MODEL.model_copy(update={"albedo": 0.3, "albedo_power": 0.3})
+    assert dark.strength(0.3) == 1.0
+    assert dark.strength(0.05) > 1.5
+    assert dark.strength(0.0) < 3
+    assert MODEL.strength(0.01) == 1.0
+    grids = [
+        add_noise(dome(0), 3, (603, 723), dark, rng=stream(2, "sample", 0, 0, "n"),
+                  strength=dark.strength(albedo))
+        for albedo in (0.6, 0.05)
+    ]  # fmt: skip
+    errors = [np.nanstd(grid.disparity - dome(0)) for grid in grids]
+    assert errors[1] > 1.8 * errors[0]
+    assert grids[1].matched.sum() < grids[0].matched.sum()
+
+
 def test_properties_noise_is_one_error_within_a_window(pairs: Any) -> None:
     measured, ideal = pairs[0]
     flat = np.where(slope_bin(ideal, 3) == 0, measured - ideal, np.nan)
