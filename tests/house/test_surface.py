@@ -11,6 +11,7 @@ import typer.main
 import synthgen
 import synthgen.config
 import synthgen.models
+import synthgen.registration
 from synthgen.cli.main import app
 from synthgen.config import Config
 from synthgen.config.explain import dotted_keys
@@ -24,6 +25,7 @@ MODELS = {
     "ManoModel", "Posed", "as_torch", "attachments_of", "deform_feet", "dressed", "feet_of",
     "forward", "list_models", "load", "pose_from_pca", "recentre", "touching",
 }  # fmt: skip
+REGISTRATION = ["REASONS", "Fit", "Track", "fit", "fit_many", "track"]
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [
     "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",
@@ -94,6 +96,7 @@ def test_smoke_every_name_is_there(name: str) -> None:
 
 def test_reference_rooms() -> None:
     assert set(synthgen.models.__all__) >= MODELS
+    assert synthgen.registration.__all__ == REGISTRATION
     assert set(synthgen.config.__all__) >= CONFIG
     for room in (synthgen.models, synthgen.config):
         for name in room.__all__:
