@@ -39,6 +39,14 @@ class Frame:
     unseen: Unseen
     report: dict[str, Any]
 
+    @property
+    def lost(self) -> bool:
+        """Whether more than a hand or a finger was missed: nothing to go on from."""
+        judgement = self.judgement
+        if judgement.reason == "part_missed":
+            return not all("hand" in part for part in judgement.parts)
+        return judgement.verdict == "fail" and judgement.reason != "finger_missed"
+
 
 class Follower(Protocol):
     """Fits one subject frame by frame."""

@@ -27,7 +27,7 @@ from synthgen.registration.tracking_hand import HandFollower
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]
-FIRST, LOST_AFTER = 4, 3
+FIRST = 4
 # Faster changes are jumps of the parametrisation, not motion to go on with.
 FASTEST = 0.35
 
@@ -157,7 +157,6 @@ class _Walk:
         self.unseen = dict.fromkeys(follower.sides, 0)
         self.x: Array | None = None
         self.motion: Array = np.zeros(0)
-        self.lost = 0
         self.coupled = False
 
     def step(self, points: Any, normals: Any) -> Fit:
@@ -165,45 +164,61 @@ class _Walk:
         began = time.process_time()
         scan = self.follower.scan(points, normals)
         if isinstance(scan, Finding):
-            self._stay()
             return self._held(scan, began)
-        if self.x is None or self.lost >= LOST_AFTER:
+        if self.x is None:
             found = self.follower.begin(points, normals, self.start)
             self.start = "cold"
-            if found.verdict == "fail" and self.x is None:
+            if found.verdict == "fail":
                 return replace(found, report={**found.report, "followed": False})
-            if found.verdict != "fail":
-                self.begin(found)
-        assert self.x is not None
-        frame = self.follower.follow(
-            scan, self.x, self.x + self.motion, self.unseen, shape_free=self.betas is None
-        )
-        return self._kept(frame, scan, began)
+            self.begin(found)
+        frame, kind = self._follow(scan), "frame before"
+        if frame.lost:
+            problem = self.follower.inspect(scan)
+            if problem is not None:
+                return self._held(problem, began)
+            frame, kind = self._afresh(points, normals, scan) or frame, "afresh"
+        return self._kept(frame, kind, scan, began)
 
     def begin(self, found: Fit) -> None:
         """Go on from a fit that knew nothing of the frames before."""
         self.x = self.follower.vector(found)
         if self.betas is not None:
             self.x[self.follower.surface.shape] = self.betas
-        self.motion, self.lost = np.zeros(len(self.x)), 0
+        self.motion = np.zeros(len(self.x))
         self.unseen = dict.fromkeys(self.follower.sides, 0)
 
-    def _kept(self, frame: Frame, scan: Scan, began: float) -> Fit:
-        judgement = frame.judgement
-        good = judgement.verdict != "fail" or judgement.reason.endswith("_missed")
-        problem = None if good else self.follower.inspect(scan)
-        if good:
-            self._move(frame)
-        else:
-            self._stay()
-        if problem is not None:
-            return self._held(problem, began)
+    def _follow(self, scan: Scan) -> Frame:
         assert self.x is not None
-        free = self.follower.freed(self.x, scan) if self.coupled and good else None
+        return self.follower.follow(
+            scan, self.x, self.x + self.motion, self.unseen, shape_free=self.betas is None
+        )
+
+    def _afresh(self, points: Any, normals: Any, scan: Scan) -> Frame | None:
+        """Fit a frame that could not be followed as a single scan; None: that fails too."""
+        assert self.x is not None
+        kept = self.x, self.motion, self.unseen
+        found = self.follower.begin(points, normals, self.follower.surface.unpack(self.x))
+        if found.verdict != "fail":
+            self.begin(found)
+            frame = self._follow(scan)
+            if not frame.lost:
+                return frame
+        self.x, self.motion, self.unseen = kept
+        return None
+
+    def _kept(self, frame: Frame, kind: str, scan: Scan, began: float) -> Fit:
+        judgement = frame.judgement
+        if frame.lost:
+            self._stay()
+        else:
+            self._move(frame)
+        assert self.x is not None
+        free = self.follower.freed(self.x, scan) if self.coupled and not frame.lost else None
         report = {
-            "verdict": judgement.verdict, "reason": judgement.text, "start": "frame before",
-            "followed": good, "points": len(scan.points), "unseen_frames": dict(self.unseen),
-            "statistics": frame.report, "cpu_s": {"total": time.process_time() - began},
+            "verdict": judgement.verdict, "reason": judgement.text, "start": kind,
+            "followed": not frame.lost, "points": len(scan.points),
+            "unseen_frames": dict(self.unseen), "statistics": frame.report,
+            "cpu_s": {"total": time.process_time() - began},
         }  # fmt: skip
         return replace(self.follower.fitted(self.x, judgement, report), free_vertices=free)
 
@@ -214,15 +229,15 @@ class _Walk:
         for side, count in self.unseen.items():
             moved[self.follower.hand(side)] /= 1 + count
         self.motion = np.where(np.abs(moved) < FASTEST, moved, 0.0)
-        self.x, self.unseen, self.lost = frame.x, dict(frame.unseen), 0
+        self.x, self.unseen = frame.x, dict(frame.unseen)
 
     def _stay(self) -> None:
-        self.lost += 1
         self.motion = np.zeros_like(self.motion)
         self.unseen = {side: count + 1 for side, count in self.unseen.items()}
 
     def _held(self, problem: Finding, began: float) -> Fit:
         """Repeat the last frame where a scan shows nothing; before any, return the model's mean."""
+        self._stay()
         surface = self.follower.surface
         x = np.zeros(surface.n) if self.x is None else self.x
         judgement = Judgement("fail", problem.reason)
