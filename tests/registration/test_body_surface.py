@@ -75,6 +75,7 @@ def test_reference_rows_against_the_whole_jacobian(name: str) -> None:
     some = np.array([5, 700, 9000])
     rows = np.einsum("ma,man->mn", d[:3], placed.jacobian[some])
     np.testing.assert_allclose(placed.vertex_rows(some, d[:3]), rows, atol=1e-7)
+    np.testing.assert_allclose(placed.joint_jacobian, placed._slopes.joint_values, atol=1e-12)
 
 
 def test_reference_rows_of_dense_correctives() -> None:
