@@ -41,11 +41,16 @@ class Frame:
 
     @property
     def lost(self) -> bool:
-        """Whether more than a hand or a finger was missed: nothing to go on from."""
-        judgement = self.judgement
-        if judgement.reason == "part_missed":
-            return not all("hand" in part for part in judgement.parts)
-        return judgement.verdict == "fail" and judgement.reason != "finger_missed"
+        """Whether there is nothing to go on from."""
+        return is_lost(self.judgement.verdict, self.judgement.text)
+
+
+def is_lost(verdict: str, reason: str) -> bool:
+    """Whether a fit missed more than a hand or a finger."""
+    kind, _, parts = reason.rstrip(")").partition("(")
+    if kind == "part_missed":
+        return not all("hand" in part for part in parts.split(", "))
+    return verdict == "fail" and kind != "finger_missed"
 
 
 class Follower(Protocol):

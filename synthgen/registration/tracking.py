@@ -21,7 +21,7 @@ from synthgen.models import BodyModel
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
-from synthgen.registration.tracked import Follower, Frame
+from synthgen.registration.tracked import Follower, Frame, is_lost
 from synthgen.registration.tracking_body import BodyFollower
 from synthgen.registration.tracking_hand import HandFollower
 from synthgen.registration.verdict import Judgement
@@ -143,17 +143,22 @@ def _acquainted(follower: Follower, frames: list[tuple[Any, Any]], start: Any) -
     fits = [free.step(points, normals) for points, normals in frames]
     good = [fit for fit in fits if fit.report["followed"]]
     if not good:
-        return _Walk(follower, "cold", None)
+        return _Walk(follower, "cold", None, freeze=True)
     walk = _Walk(follower, "cold", np.mean([fit.shape for fit in good], axis=0))
     walk.begin(good[0])
     return walk
 
 
 class _Walk:
-    """A sequence in progress; betas None: they are fitted in every frame."""
+    """A sequence in progress.
 
-    def __init__(self, follower: Follower, start: Any, betas: Array | None) -> None:
-        self.follower, self.start, self.betas = follower, start, betas
+    betas None: they are fitted in every frame, or with ``freeze`` in the first that can be fitted.
+    """
+
+    def __init__(
+        self, follower: Follower, start: Any, betas: Array | None, *, freeze: bool = False
+    ) -> None:
+        self.follower, self.start, self.betas, self.freeze = follower, start, betas, freeze
         self.unseen = dict.fromkeys(follower.sides, 0)
         self.x: Array | None = None
         self.motion: Array = np.zeros(0)
@@ -168,7 +173,7 @@ class _Walk:
         if self.x is None:
             found = self.follower.begin(points, normals, self.start)
             self.start = "cold"
-            if found.verdict == "fail":
+            if is_lost(found.verdict, found.reason):
                 return replace(found, report={**found.report, "followed": False})
             self.begin(found)
         frame, kind = self._follow(scan), "frame before"
@@ -197,8 +202,9 @@ class _Walk:
         """Fit a frame that could not be followed as a single scan; None: that fails too."""
         assert self.x is not None
         kept = self.x, self.motion, self.unseen
-        found = self.follower.begin(points, normals, self.follower.surface.unpack(self.x))
-        if found.verdict != "fail":
+        last = self.follower.fitted(self.x, Judgement("pass"), {})
+        found = self.follower.begin(points, normals, (last.shape, last.pose, last.translation))
+        if not is_lost(found.verdict, found.reason):
             self.begin(found)
             frame = self._follow(scan)
             if not frame.lost:
@@ -230,6 +236,8 @@ class _Walk:
             moved[self.follower.hand(side)] /= 1 + count
         self.motion = np.where(np.abs(moved) < FASTEST, moved, 0.0)
         self.x, self.unseen = frame.x, dict(frame.unseen)
+        if self.freeze and self.betas is None:
+            self.betas = self.x[self.follower.surface.shape].copy()
 
     def _stay(self) -> None:
         self.motion = np.zeros_like(self.motion)

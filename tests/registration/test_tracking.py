@@ -20,7 +20,7 @@ from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
 from synthgen.registration.simulated import ScanSettings, simulate_scan
 from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
-from synthgen.registration.tracked import Frame
+from synthgen.registration.tracked import Frame, is_lost
 from synthgen.registration.tracking import Track, _Walk, track
 from synthgen.registration.tracking_state import MISSED, PARTS, BodyState, presence
 from synthgen.registration.verdict import Judgement
@@ -171,7 +171,7 @@ class _Fake:
     """Follows a number that grows by 0.1 a frame; scans are lists of what happens."""
 
     sides = ("left",)
-    surface = SimpleNamespace(n=4, shape=slice(0, 1), unpack=lambda x: x)
+    surface = SimpleNamespace(n=4, shape=slice(0, 1))
 
     def __init__(self) -> None:
         self.starts: list[np.ndarray] = []
@@ -232,6 +232,28 @@ def test_properties_a_lost_subject_is_begun_again() -> None:
     assert fake.begun == 3
     assert np.array_equal(steps[1][1].pose, steps[2][1].pose)
     np.testing.assert_allclose([fit.pose[1] for _, fit in steps], [0.1, 0.2, 0.2, 0.1, 0.2])
+
+
+def test_properties_a_late_beginning_freezes_its_shape() -> None:
+    walk = _Walk(_Fake(), "cold", None, freeze=True)  # type: ignore[arg-type]
+    fits = [walk.step(word, None) for word in ("ok", "ok")]
+    assert walk.betas is not None
+    assert fits[1].shape == fits[0].shape == walk.betas
+
+
+@pytest.mark.parametrize(
+    ("verdict", "reason", "lost"),
+    [
+        ("pass", "", False),
+        ("unobserved", "hole(left_hand)", False),
+        ("fail", "part_missed(left_hand, right_hand)", False),
+        ("fail", "part_missed(left_hand, left_arm)", True),
+        ("fail", "finger_missed(index)", False),
+        ("fail", "cold_start_failed", True),
+    ],
+)
+def test_reference_what_is_lost(verdict: str, reason: str, lost: bool) -> None:
+    assert is_lost(verdict, reason) == lost
 
 
 @lru_cache(maxsize=2)
