@@ -2,6 +2,7 @@
 
 from synthgen.registration.fit import fit, fit_many
 from synthgen.registration.fitted import Fit
+from synthgen.registration.tracking import Track, track
 from synthgen.registration.verdict import REASONS
 
-__all__ = ["REASONS", "Fit", "fit", "fit_many"]
+__all__ = ["REASONS", "Fit", "Track", "fit", "fit_many", "track"]

@@ -230,6 +230,27 @@ def as_fit(placed: BodyPlaced, judgement: Judgement, report: dict[str, Any],
     )  # fmt: skip
 
 
+def _advice(chosen: BodyCandidate, scan: Scan) -> str | None:
+    """Return what a user can do about a fail."""
+    s, judgement = chosen.statistics, chosen.judgement
+    if judgement.verdict != "fail":
+        return None
+    size = np.ptp(np.quantile(scan.points, [0.01, 0.99], axis=0), axis=0)
+    pose = "bodies stand upright, y up, in something like an A-pose"
+    if size.argmax() != 1:
+        pose += f", this scan is longest along {'xyz'[int(size.argmax())]}: turn it"
+    explained, far = f"{100 * s.explained:.0f} %", f"{100 * s.far:.0f} %"
+    return {
+        "background": f"{far} of the points are farther than 50 mm from the body that was found; "
+        f"cut it out ({pose})",
+        "cold_start_failed": f"only {explained} of the points are explained; {pose}, or give a "
+        "start",
+        "part_missed": "the rest of the body is explained; see the parts in the report",
+        "noise_above_spec": f"points scatter by {1e3 * s.noise_m:.1f} mm about the body",
+        "shape_limit": "a shape coefficient is beyond 4 standard deviations",
+    }.get(judgement.reason)
+
+
 def _result(
     search: BodySearch, chosen: BodyCandidate, kind: str, dropped: int, cpu_s: float
 ) -> Fit:
@@ -249,4 +270,6 @@ def _result(
         "statistics": chosen.statistics.to_json(),
         "cpu_s": {"total": cpu_s, **search.seconds},
     }
+    if (message := _advice(chosen, search.scan)) is not None:
+        report["message"] = message
     return as_fit(chosen.placed, judgement, report, chosen.statistics.sd_m)

@@ -166,6 +166,14 @@ class BodyPlaced(Placed):
         expression = self.x[s.expression] if s.model.n_expression else None
         return s.model.jacobian(*s.unpack(self.x), expression)
 
+    @property
+    def joint_jacobian(self) -> Array:
+        """Derivatives (K, 3, n) of the joints."""
+        s = self.surface
+        expression = self.x[s.expression] if s.model.n_expression else None
+        none = np.zeros(0, dtype=np.int64)
+        return s.model.jacobian(*s.unpack(self.x), expression, rows=none).joint_values
+
     @cached_property
     def _turns(self) -> tuple[Array, Array, Array, Array]:
         """World axes (K, 3, 3), slopes of features (K, 3, q) and maps (K, 3, c), shifts (K, 3)."""

@@ -39,6 +39,19 @@ class Frame:
     unseen: Unseen
     report: dict[str, Any]
 
+    @property
+    def lost(self) -> bool:
+        """Whether there is nothing to go on from."""
+        return is_lost(self.judgement.verdict, self.judgement.text)
+
+
+def is_lost(verdict: str, reason: str) -> bool:
+    """Whether a fit missed more than a hand or a finger."""
+    kind, _, parts = reason.rstrip(")").partition("(")
+    if kind == "part_missed":
+        return not all("hand" in part for part in parts.split(", "))
+    return verdict == "fail" and kind != "finger_missed"
+
 
 class Follower(Protocol):
     """Fits one subject frame by frame."""

@@ -21,13 +21,13 @@ from synthgen.models import BodyModel
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
-from synthgen.registration.tracked import Follower, Frame
+from synthgen.registration.tracked import Follower, Frame, is_lost
 from synthgen.registration.tracking_body import BodyFollower
 from synthgen.registration.tracking_hand import HandFollower
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]
-FIRST, LOST_AFTER = 4, 3
+FIRST = 4
 # Faster changes are jumps of the parametrisation, not motion to go on with.
 FASTEST = 0.35
 
@@ -143,21 +143,25 @@ def _acquainted(follower: Follower, frames: list[tuple[Any, Any]], start: Any) -
     fits = [free.step(points, normals) for points, normals in frames]
     good = [fit for fit in fits if fit.report["followed"]]
     if not good:
-        return _Walk(follower, "cold", None)
+        return _Walk(follower, "cold", None, freeze=True)
     walk = _Walk(follower, "cold", np.mean([fit.shape for fit in good], axis=0))
     walk.begin(good[0])
     return walk
 
 
 class _Walk:
-    """A sequence in progress; betas None: they are fitted in every frame."""
+    """A sequence in progress.
 
-    def __init__(self, follower: Follower, start: Any, betas: Array | None) -> None:
-        self.follower, self.start, self.betas = follower, start, betas
+    betas None: they are fitted in every frame, or with ``freeze`` in the first that can be fitted.
+    """
+
+    def __init__(
+        self, follower: Follower, start: Any, betas: Array | None, *, freeze: bool = False
+    ) -> None:
+        self.follower, self.start, self.betas, self.freeze = follower, start, betas, freeze
         self.unseen = dict.fromkeys(follower.sides, 0)
         self.x: Array | None = None
         self.motion: Array = np.zeros(0)
-        self.lost = 0
         self.coupled = False
 
     def step(self, points: Any, normals: Any) -> Fit:
@@ -165,45 +169,62 @@ class _Walk:
         began = time.process_time()
         scan = self.follower.scan(points, normals)
         if isinstance(scan, Finding):
-            self._stay()
             return self._held(scan, began)
-        if self.x is None or self.lost >= LOST_AFTER:
+        if self.x is None:
             found = self.follower.begin(points, normals, self.start)
             self.start = "cold"
-            if found.verdict == "fail" and self.x is None:
+            if is_lost(found.verdict, found.reason):
                 return replace(found, report={**found.report, "followed": False})
-            if found.verdict != "fail":
-                self.begin(found)
-        assert self.x is not None
-        frame = self.follower.follow(
-            scan, self.x, self.x + self.motion, self.unseen, shape_free=self.betas is None
-        )
-        return self._kept(frame, scan, began)
+            self.begin(found)
+        frame, kind = self._follow(scan), "frame before"
+        if frame.lost:
+            problem = self.follower.inspect(scan)
+            if problem is not None:
+                return self._held(problem, began)
+            frame, kind = self._afresh(points, normals, scan) or frame, "afresh"
+        return self._kept(frame, kind, scan, began)
 
     def begin(self, found: Fit) -> None:
         """Go on from a fit that knew nothing of the frames before."""
         self.x = self.follower.vector(found)
         if self.betas is not None:
             self.x[self.follower.surface.shape] = self.betas
-        self.motion, self.lost = np.zeros(len(self.x)), 0
+        self.motion = np.zeros(len(self.x))
         self.unseen = dict.fromkeys(self.follower.sides, 0)
 
-    def _kept(self, frame: Frame, scan: Scan, began: float) -> Fit:
-        judgement = frame.judgement
-        good = judgement.verdict != "fail" or judgement.reason.endswith("_missed")
-        problem = None if good else self.follower.inspect(scan)
-        if good:
-            self._move(frame)
-        else:
-            self._stay()
-        if problem is not None:
-            return self._held(problem, began)
+    def _follow(self, scan: Scan) -> Frame:
         assert self.x is not None
-        free = self.follower.freed(self.x, scan) if self.coupled and good else None
+        return self.follower.follow(
+            scan, self.x, self.x + self.motion, self.unseen, shape_free=self.betas is None
+        )
+
+    def _afresh(self, points: Any, normals: Any, scan: Scan) -> Frame | None:
+        """Fit a frame that could not be followed as a single scan; None: that fails too."""
+        assert self.x is not None
+        kept = self.x, self.motion, self.unseen
+        last = self.follower.fitted(self.x, Judgement("pass"), {})
+        found = self.follower.begin(points, normals, (last.shape, last.pose, last.translation))
+        if not is_lost(found.verdict, found.reason):
+            self.begin(found)
+            frame = self._follow(scan)
+            if not frame.lost:
+                return frame
+        self.x, self.motion, self.unseen = kept
+        return None
+
+    def _kept(self, frame: Frame, kind: str, scan: Scan, began: float) -> Fit:
+        judgement = frame.judgement
+        if frame.lost:
+            self._stay()
+        else:
+            self._move(frame)
+        assert self.x is not None
+        free = self.follower.freed(self.x, scan) if self.coupled and not frame.lost else None
         report = {
-            "verdict": judgement.verdict, "reason": judgement.text, "start": "frame before",
-            "followed": good, "points": len(scan.points), "unseen_frames": dict(self.unseen),
-            "statistics": frame.report, "cpu_s": {"total": time.process_time() - began},
+            "verdict": judgement.verdict, "reason": judgement.text, "start": kind,
+            "followed": not frame.lost, "points": len(scan.points),
+            "unseen_frames": dict(self.unseen), "statistics": frame.report,
+            "cpu_s": {"total": time.process_time() - began},
         }  # fmt: skip
         return replace(self.follower.fitted(self.x, judgement, report), free_vertices=free)
 
@@ -214,15 +235,17 @@ class _Walk:
         for side, count in self.unseen.items():
             moved[self.follower.hand(side)] /= 1 + count
         self.motion = np.where(np.abs(moved) < FASTEST, moved, 0.0)
-        self.x, self.unseen, self.lost = frame.x, dict(frame.unseen), 0
+        self.x, self.unseen = frame.x, dict(frame.unseen)
+        if self.freeze and self.betas is None:
+            self.betas = self.x[self.follower.surface.shape].copy()
 
     def _stay(self) -> None:
-        self.lost += 1
         self.motion = np.zeros_like(self.motion)
         self.unseen = {side: count + 1 for side, count in self.unseen.items()}
 
     def _held(self, problem: Finding, began: float) -> Fit:
         """Repeat the last frame where a scan shows nothing; before any, return the model's mean."""
+        self._stay()
         surface = self.follower.surface
         x = np.zeros(surface.n) if self.x is None else self.x
         judgement = Judgement("fail", problem.reason)

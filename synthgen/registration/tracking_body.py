@@ -43,8 +43,8 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STAGES = (
     BodyStage(1200, 4, 15 * MM, 60 * MM, 0.2, 3 * MM, 800, 0.05, hand_points=250),
-    BodyStage(2500, 4, 5 * MM, 25 * MM, 0.4, 1.5 * MM, 2500, hand_points=500),
-    BodyStage(4000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 5000, hand_points=800),
+    BodyStage(2500, 3, 5 * MM, 25 * MM, 0.4, 1.5 * MM, 2500, hand_points=500),
+    BodyStage(4000, 2, 3 * MM, 12 * MM, 0.5, 1 * MM, 5000, hand_points=800),
 )
 # Hands are scanned worse than the rest: smoothed, they would make the subject's hands thin. The
 # shape is that of the points farther from them.

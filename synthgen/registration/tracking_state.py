@@ -34,6 +34,8 @@ NEAR_M, LIMIT_M, FACING = 0.05, 3e-3, 0.2
 LOOKED, LOOKED_HAND = 3000, 1000
 # A hand of which more is unexplained is missed; it must improve by so much to be replaced.
 MISSED, GAIN = 0.15, 0.03
+# A part of few points is missed where its share is so many standard errors above the limit.
+ERRORS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class BodyState:
     ----------
     present : dict of side to float
         Points of each hand over points expected.
+    points : (10,) int
+        Looked at, by part.
     unexplained : (10,)
         By part, share of points off the skin by 3 mm or facing away; NaN where there are few.
     explained, far : float
@@ -53,6 +57,7 @@ class BodyState:
     """
 
     present: dict[str, float]
+    points: NDArray[np.int64]
     unexplained: Array
     explained: float
     far: float
@@ -79,6 +84,7 @@ class BodyState:
         close = distance[: len(some)][plain]
         return cls(
             present=presence(placed, scan, crops),
+            points=np.bincount(part[near], minlength=len(PARTS)),
             unexplained=unexplained,
             explained=float((~bad)[: len(some)][plain].mean()) if plain.any() else 0.0,
             far=float((~plain).mean()),
@@ -103,9 +109,10 @@ class BodyState:
         if self.explained < EXPLAINED:
             return Judgement("fail", "not_converged")
         gone = tuple(f"{side}_hand" for side in SIDES if unseen[side])
-        limits = [MISSED if "hand" in part else UNEXPLAINED for part in PARTS]
-        bad = tuple(part for part, u, limit in zip(PARTS, self.unexplained, limits, strict=True)
-                    if u > limit and part not in gone)  # fmt: skip
+        limit = np.array([MISSED if "hand" in part else UNEXPLAINED for part in PARTS])
+        limit += ERRORS * np.sqrt(limit * (1 - limit) / np.maximum(self.points, 1))
+        bad = tuple(part for part, off in zip(PARTS, self.unexplained > limit, strict=True)
+                    if off and part not in gone)  # fmt: skip
         if bad:
             return Judgement("fail", "part_missed", bad)
         return Judgement("unobserved", "hole", gone) if gone else Judgement("pass")

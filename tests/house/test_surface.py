@@ -11,6 +11,7 @@ import typer.main
 import synthgen
 import synthgen.config
 import synthgen.models
+import synthgen.registration
 import synthgen.scanner
 from synthgen.cli.main import app
 from synthgen.config import Config
@@ -30,6 +31,7 @@ SCANNER = {
     "UnitScan", "body_scene", "centred", "is_green", "list_rigs", "load_rig", "save_scan", "scaled",
     "scan", "segment", "sense_depth", "settings_for", "solid_from_mesh", "standing",
 }  # fmt: skip
+REGISTRATION = ["REASONS", "Fit", "Track", "fit", "fit_many", "track"]
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [
     "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",
@@ -100,6 +102,7 @@ def test_smoke_every_name_is_there(name: str) -> None:
 
 def test_reference_rooms() -> None:
     assert set(synthgen.models.__all__) >= MODELS
+    assert synthgen.registration.__all__ == REGISTRATION
     assert set(synthgen.config.__all__) >= CONFIG
     assert set(synthgen.scanner.__all__) >= SCANNER
     for room in (synthgen.models, synthgen.config, synthgen.scanner):

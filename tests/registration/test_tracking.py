@@ -20,8 +20,8 @@ from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
 from synthgen.registration.simulated import ScanSettings, simulate_scan
 from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
-from synthgen.registration.tracked import Frame
-from synthgen.registration.tracking import LOST_AFTER, Track, _Walk, track
+from synthgen.registration.tracked import Frame, is_lost
+from synthgen.registration.tracking import Track, _Walk, track
 from synthgen.registration.tracking_state import MISSED, PARTS, BodyState, presence
 from synthgen.registration.verdict import Judgement
 from synthgen.sampling.sequence import PoseSequence, SequenceSettings, sample_sequence
@@ -133,19 +133,22 @@ def test_reference_states_of_the_truth() -> None:
 
 
 def state(**changes: Any) -> BodyState:
-    plain = BodyState({"left": 1.0, "right": 1.0}, np.full(len(PARTS), 0.01), 0.99, 0.01, 1e-3)
+    plain = BodyState({"left": 1.0, "right": 1.0}, np.full(len(PARTS), 10_000),
+                      np.full(len(PARTS), 0.01), 0.99, 0.01, 1e-3)  # fmt: skip
     return replace(plain, **changes)
 
 
 def test_properties_judgements() -> None:
     seen, left_gone = {"left": 0, "right": 0}, {"left": 3, "right": 0}
     hand_off = np.full(len(PARTS), 0.01)
-    hand_off[PARTS.index("left_hand")] = MISSED + 0.01
+    hand_off[PARTS.index("left_hand")] = MISSED + 0.02
     assert state().judged(seen) == Judgement("pass")
     assert state(unexplained=hand_off).judged(seen).text == "part_missed(left_hand)"
     assert state(unexplained=hand_off).judged(left_gone) == Judgement(
         "unobserved", "hole", ("left_hand",)
     )
+    few = np.full(len(PARTS), 60)
+    assert state(unexplained=hand_off, points=few).judged(seen) == Judgement("pass")
     assert state(far=0.5).judged(seen).reason == "background"
     assert state(explained=0.5).judged(seen).reason == "not_converged"
     assert state(unexplained=hand_off).missed(("left", "right")) == ("left",)
@@ -197,7 +200,7 @@ class _Fake:
 
     def follow(self, scan: Any, previous: Any, start: Any, unseen: Any, **_: Any) -> Frame:
         self.starts.append(start.copy())
-        if scan.points == "bad":
+        if scan.points == "bad" or (scan.points == "jump" and previous[1] != 0):
             return Frame(start, Judgement("fail", "not_converged"), unseen, {})
         gone = {"left": unseen["left"] + 1 if scan.points == "gone" else 0}
         moved = np.array([0.0, 0.1, 2.0, 0.0 if gone["left"] else 0.1 * (1 + unseen["left"])])
@@ -220,12 +223,37 @@ def test_properties_frames_begin_where_the_motion_leads() -> None:
 
 
 def test_properties_a_lost_subject_is_begun_again() -> None:
-    steps = list(walked(["ok", *["bad"] * (LOST_AFTER + 1), "ok"]))
-    fake, last = steps[-1]
-    assert fake.begun == 2
-    assert [fit.report["followed"] for _, fit in steps] == [True, *[False] * (LOST_AFTER + 1), True]
+    steps = list(walked(["ok", "ok", "bad", "jump", "ok"]))
+    fake = steps[-1][0]
+    assert [fit.report["followed"] for _, fit in steps] == [True, True, False, True, True]
+    assert [fit.report["start"] for _, fit in steps] == [
+        "frame before", "frame before", "afresh", "afresh", "frame before",
+    ]  # fmt: skip
+    assert fake.begun == 3
     assert np.array_equal(steps[1][1].pose, steps[2][1].pose)
-    np.testing.assert_allclose(last.pose[1], 0.1)
+    np.testing.assert_allclose([fit.pose[1] for _, fit in steps], [0.1, 0.2, 0.2, 0.1, 0.2])
+
+
+def test_properties_a_late_beginning_freezes_its_shape() -> None:
+    walk = _Walk(_Fake(), "cold", None, freeze=True)  # type: ignore[arg-type]
+    fits = [walk.step(word, None) for word in ("ok", "ok")]
+    assert walk.betas is not None
+    assert fits[1].shape == fits[0].shape == walk.betas
+
+
+@pytest.mark.parametrize(
+    ("verdict", "reason", "lost"),
+    [
+        ("pass", "", False),
+        ("unobserved", "hole(left_hand)", False),
+        ("fail", "part_missed(left_hand, right_hand)", False),
+        ("fail", "part_missed(left_hand, left_arm)", True),
+        ("fail", "finger_missed(index)", False),
+        ("fail", "cold_start_failed", True),
+    ],
+)
+def test_reference_what_is_lost(verdict: str, reason: str, lost: bool) -> None:
+    assert is_lost(verdict, reason) == lost
 
 
 @lru_cache(maxsize=2)
