@@ -66,8 +66,9 @@ def checked(
         raise ShapeError(
             f"model {model.name!r} ({model.family}) has no expression components; pass None"
         )
-    given = np.zeros((n, 0)) if expression is None else expression
-    psi = _coefficients(given, n, model.n_expression, "expression", "ne", model.name)
+    psi = np.zeros((n, 0))
+    if expression is not None:
+        psi = _coefficients(expression, n, model.n_expression, "expression", "ne", model.name)
     moved = np.zeros((n, 3)) if translation is None else _numbers(translation, "translation")
     if moved.shape != (n, 3):
         raise ShapeError(f"translation has shape {moved.shape}; expected ({n}, 3)")
@@ -124,7 +125,7 @@ def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: st
 def _check_sizes(*named: tuple[str, Array]) -> None:
     from synthgen.models.kernels import within
 
-    if within(_LARGEST, *(values.ravel() for _, values in named)):
+    if within(_LARGEST, *(values.reshape(-1) for _, values in named)):
         return
     for what, values in named:
         finite = np.isfinite(values)

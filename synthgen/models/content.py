@@ -21,7 +21,7 @@ from synthgen.models.archives import (
     read_npz,
 )
 from synthgen.models.model import Family
-from synthgen.models.pickles import MAX_BYTES, refused, starts_well, unpickled_dict
+from synthgen.models.pickles import MAX_BYTES, starts_well, unpickled_dict
 
 Array = NDArray[np.float64]
 SUFFIXES = (".npz", ".pkl", ".npy")
@@ -127,7 +127,10 @@ def check_ends(path: Path) -> None:
         with path.open("rb") as stream:
             head = stream.read(len(MAGIC))
         if head != MAGIC and not starts_well(head):
-            raise refused(head[0])
+            raise ModelError(
+                f"starts with {head!r}, as no model file does; was a web page or a pointer saved "
+                "in its place?"
+            )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     except OSError as error:

@@ -96,7 +96,7 @@ def pose_vertices(packed: Packed, skeleton: Skeleton, translation: Array) -> NDA
     drive = driven(packed, skeleton, translation)
     out = np.empty((n, 3 * v), packed.basis.dtype)
     for k in range(0, n, _SAMPLES):
-        some = Drive(*(a[k : k + _SAMPLES] for a in drive))
+        some = drive if n <= _SAMPLES else Drive(*(a[k : k + _SAMPLES] for a in drive))
         points = rest_points(packed, some, out[k : k + _SAMPLES])
         skin_points(packed, some, points, points)
     return out.reshape(n, v, 3)

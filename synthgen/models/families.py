@@ -212,14 +212,16 @@ def _check_faces(content: Content) -> None:
 
 def _check_weights(content: Content) -> None:
     weights = content.numbers("weights")
-    off = np.abs(weights.sum(axis=1) - 1)
-    if off.max() > WEIGHT_TOLERANCE or weights.min() < -WEIGHT_TOLERANCE:
+    off, lowest = np.abs(weights.sum(axis=1) - 1), weights.min(axis=1)
+    expected = f"expected rows of positive weights that sum to 1 within {WEIGHT_TOLERANCE}"
+    if off.max() > WEIGHT_TOLERANCE:
         worst = int(off.argmax())
         raise content.fail(
-            f"weights do not sum to 1: vertex {worst} has {weights[worst].sum():.6g}, the lowest "
-            f"weight is {weights.min():.3g}; expected rows of positive weights that sum to 1 "
-            f"within {WEIGHT_TOLERANCE}"
+            f"weights do not sum to 1: vertex {worst} has {weights[worst].sum():.6g}; {expected}"
         )
+    if lowest.min() < -WEIGHT_TOLERANCE:
+        worst = int(lowest.argmin())
+        raise content.fail(f"weights of vertex {worst} go down to {lowest[worst]:.3g}; {expected}")
 
 
 def _check_regressor(content: Content, family: Family) -> tuple[str, ...]:

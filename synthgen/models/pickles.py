@@ -76,12 +76,6 @@ def starts_well(head: bytes) -> bool:
     return not head or head[0] in _STEPS or head[:1] == b"."
 
 
-def refused(code: int) -> ModelError:
-    """Return the error for an opcode that is not on the list."""
-    name = _REFUSED.get(code, f"{code:#04x}")
-    return ModelError(f"pickle opcode {name} is refused; no model file needs it")
-
-
 def unpickled_dict(data: bytes, start: int = 0) -> dict[str, Any]:
     """Read a pickled dict that starts at ``start``; holders become arrays.
 
@@ -126,7 +120,8 @@ class _Machine:
             if step is None:
                 if code == ord("."):
                     return self.stack.pop()
-                raise refused(code)
+                name = _REFUSED.get(code, f"{code:#04x}")
+                raise ModelError(f"pickle opcode {name} is refused; no model file needs it")
             step(self)
         raise ModelError(f"more than {MAX_OPCODES} pickle opcodes; no model file needs them")
 

@@ -64,29 +64,24 @@ def _fma(builder: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @_instructions
-def _four(_: Any, maps: Any, ids: Any, weights: Any, v: Any, first: Any) -> Any:
-    """Blend maps (K, 16) by four of a vertex's ids and weights (V, k), from ``first`` on."""
+def _four(_: Any, maps: Any, joints: Any, weights: Any) -> Any:
+    """Blend the maps (K, 16) of four joints by four weights."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        of_maps, of_ids, of_weights = (
-            context.make_array(kind)(context, builder, array)
-            for kind, array in zip(signature.args[:3], arguments[:3], strict=True)
-        )
-        width = builder.extract_value(of_ids.shape, 1)
-        at = builder.add(builder.mul(arguments[3], width), arguments[4])
+        array, joints, weights = arguments
+        data = context.make_array(signature.args[0])(context, builder, array).data
         kind = context.get_value_type(signature.return_type)
         total = kind(None)
         for i in range(4):
-            place = [builder.add(at, at.type(i))]
-            joint = builder.sext(builder.load(builder.gep(of_ids.data, place)), at.type)
-            weight = builder.load(builder.gep(of_weights.data, place))
-            row = builder.gep(of_maps.data, [builder.mul(joint, at.type(WIDTH))])
-            row = builder.bitcast(row, kind.as_pointer())
+            joint = builder.sext(builder.extract_value(joints, i), ir.IntType(64))
+            first = builder.gep(data, [builder.mul(joint, joint.type(WIDTH))])
+            row = builder.bitcast(first, kind.as_pointer())
             row = builder.load(row, align=signature.args[0].dtype.bitwidth // 8)
-            total = _fma(builder, row, _vector(builder, [weight], WIDTH), total)
+            weight = _vector(builder, [builder.extract_value(weights, i)], WIDTH)
+            total = _fma(builder, row, weight, total)
         return total
 
-    return _Map(maps.dtype)(maps, ids, weights, types.intp, types.intp), generate
+    return _Map(maps.dtype)(maps, joints, weights), generate
 
 
 @_instructions
@@ -128,24 +123,47 @@ def skin(
     Maps are the rows of [A - 1 | t]; ids, weights (V, k) in descending order, k a multiple of
     four: four zeros end them. ``out`` may be ``points``.
     """
-    room = np.zeros((maps.shape[1] + 1) * WIDTH, out.dtype)
+    n, n_joints = maps.shape[:2]
+    room = np.zeros((2 * n_joints + 1) * WIDTH, out.dtype)
     start = (-room.ctypes.data % 64) // room.itemsize  # a map that straddles cache lines is slow
-    A = room[start : start + maps.shape[1] * WIDTH].reshape(-1, WIDTH)
-    for b in range(out.shape[0]):
-        p, o = points[b], out[b]
-        t = moved[b, 0], moved[b, 1], moved[b, 2]
-        for k in range(A.shape[0]):
-            for c in range(4):
-                for a in range(3):
-                    A[k, 4 * c + a] = maps[b, k, 4 * a + c]
+    A = room[start : start + 2 * n_joints * WIDTH].reshape(2 * n_joints, WIDTH)
+    A0, A1 = A[:n_joints], A[n_joints:]
+    paired = n - n % 2 if ids.shape[1] == 4 else 0
+    for b in range(0, paired, 2):  # two samples share what is read of a vertex
+        _columns(maps[b], A0)
+        _columns(maps[b + 1], A1)
+        p0, o0, t0 = points[b], out[b], (moved[b, 0], moved[b, 1], moved[b, 2])
+        p1, o1, t1 = points[b + 1], out[b + 1], (moved[b + 1, 0], moved[b + 1, 1], moved[b + 1, 2])
         for v in range(ids.shape[0]):
-            m = _four(A, ids, weights, v, 0)
+            j = ids[v, 0], ids[v, 1], ids[v, 2], ids[v, 3]
+            w, e = (weights[v, 0], weights[v, 1], weights[v, 2], weights[v, 3]), excess[v]
+            q0 = p0[3 * v], p0[3 * v + 1], p0[3 * v + 2]
+            q1 = p1[3 * v], p1[3 * v + 1], p1[3 * v + 2]
+            o0[3 * v], o0[3 * v + 1], o0[3 * v + 2] = _moved(_four(A0, j, w), q0, e, t0)
+            o1[3 * v], o1[3 * v + 1], o1[3 * v + 2] = _moved(_four(A1, j, w), q1, e, t1)
+    for b in range(paired, n):
+        _columns(maps[b], A0)
+        p, o, t = points[b], out[b], (moved[b, 0], moved[b, 1], moved[b, 2])
+        for v in range(ids.shape[0]):
+            j = ids[v, 0], ids[v, 1], ids[v, 2], ids[v, 3]
+            m = _four(A0, j, (weights[v, 0], weights[v, 1], weights[v, 2], weights[v, 3]))
             for i in range(4, ids.shape[1], 4):
                 if weights[v, i] == 0:
                     break
-                m = _sum(m, _four(A, ids, weights, v, i))
-            point = p[3 * v], p[3 * v + 1], p[3 * v + 2]
-            o[3 * v], o[3 * v + 1], o[3 * v + 2] = _moved(m, point, excess[v], t)
+                j = ids[v, i], ids[v, i + 1], ids[v, i + 2], ids[v, i + 3]
+                w = weights[v, i], weights[v, i + 1], weights[v, i + 2], weights[v, i + 3]
+                m = _sum(m, _four(A0, j, w))
+            q = p[3 * v], p[3 * v + 1], p[3 * v + 2]
+            o[3 * v], o[3 * v + 1], o[3 * v + 2] = _moved(m, q, excess[v], t)
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _columns(rows: Any, columns: Any) -> None:
+    """Lay maps (K, 12) out by columns (K, 16)."""
+    for k in range(rows.shape[0]):
+        for c in range(4):
+            for a in range(3):
+                columns[k, 4 * c + a] = rows[k, 4 * a + c]
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)

@@ -133,7 +133,8 @@ def _pull(state: Forward, force: NDArray[Any], push: Array) -> Gradient:
     return Gradient(
         shape=on_coefficients[:, 1 : 1 + ns],
         pose=on_pose if given.pose.ndim == 2 else on_pose.reshape(n, k, 3),
-        translation=flat.reshape(n, -1, 3).sum(axis=1, dtype=np.float64) + push.sum(axis=1),
+        translation=np.einsum("bvc->bc", flat.reshape(n, -1, 3), dtype=np.float64)
+        + push.sum(axis=1),
         expression=on_coefficients[:, at : at + ne],
     )
 

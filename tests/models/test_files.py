@@ -249,6 +249,7 @@ def test_properties_folders_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ("hands_mean", np.zeros(9), r"hands_mean is \(9,\)"),
         ("hands_coeffs", np.zeros((4, 9)), r"hands_coeffs is \(4, 9\); expected \(N, 45\)"),
         ("weights", np.full(241, 1.0), r"weights is \(241,\); expected 2 dimensions"),
+        ("weights", np.tile([1.5, -0.5, *[0.0] * 14], (241, 1)), "vertex 0 go down to -0.5"),
         ("J_regressor", np.eye(16, 241) * (np.arange(16) != 3)[:, None], "only zeros for joint 3"),
         ("J_regressor", 1.2 * np.eye(16, 241), "joint 0 sums to 1.2; expected rows that sum to 1"),
         ("bs_type", "quaternion", "only 'lrotmin'"),
@@ -352,8 +353,15 @@ def test_edge_zeros_are_refused_by_their_head(
     path = tmp_path / f"zeros{suffix}"
     with path.open("wb") as stream:
         stream.truncate(299 * 2**20)
-    with bounded(), pytest.raises(ModelError, match=r"zeros.*(opcode 0x00|no directory)"):
+    with bounded(), pytest.raises(ModelError, match=r"zeros.*(starts with|no directory)"):
         load(path)
+
+
+@pytest.mark.parametrize("text", ["<!DOCTYPE html>", "version https://git-lfs.github.com/spec/v1"])
+def test_edge_what_was_saved_in_its_place(tmp_path: Path, text: str) -> None:
+    (tmp_path / "MANO_RIGHT.pkl").write_text(text)
+    with pytest.raises(ModelError, match=r"MANO_RIGHT.*web page or a pointer"):
+        load(tmp_path / "MANO_RIGHT.pkl")
 
 
 def test_edge_a_file_beyond_any_model_is_not_hashed(tmp_path: Path) -> None:
