@@ -133,6 +133,21 @@ def mesh_of(surface: Surface) -> Topology:
     return topology(surface.faces, surface.n_vertices)
 
 
+def nearest_on(
+    surface: Surface, vertices: Array, points: Array, start: Ints | None = None
+) -> tuple[Array, Ints, Array]:
+    """Squared distances (m,), faces (m,) and closest points (m, 3): a search, or walks."""
+    if start is None:
+        import igl
+
+        found = igl.point_mesh_squared_distance(points, vertices, surface.faces)
+        return found[0], found[1], np.ascontiguousarray(found[2])
+    mesh = mesh_of(surface)
+    at = closest_walk(mesh, vertices, np.ascontiguousarray(points), start)
+    corners = vertices[mesh.faces[at.face]]
+    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
+
+
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """``V^T K V / 2 - V^T pull`` with data blocks (V, 3, 3), (E, 3, 3) and isotropic ties.

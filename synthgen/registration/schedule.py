@@ -154,7 +154,7 @@ def stage_terms(
             stage.tangential,
             curved,
             {} if stage.cut_m <= WALK_M else None,
-        )  # fmt: skip
+        )
     ]
     if stage.mesh_to_scan > 0:
         terms.append(

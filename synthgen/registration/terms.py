@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from synthgen.registration.free_mesh import closest_walk, mesh_of
+from synthgen.registration.free_mesh import nearest_on
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
@@ -104,7 +104,7 @@ def closest(
     skin is.
     """
     s = placed.surface
-    squared, face, point = _nearest(placed, points, start)
+    squared, face, point = nearest_on(s, placed.vertices, points, start)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
@@ -113,21 +113,6 @@ def closest(
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
     return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
-
-
-def _nearest(
-    placed: Placed, points: Array, start: NDArray[np.int64] | None
-) -> tuple[Array, NDArray[np.int64], Array]:
-    """Squared distances, faces and closest points."""
-    if start is None:
-        import igl
-
-        found = igl.point_mesh_squared_distance(points, placed.vertices, placed.surface.faces)
-        return found[0], found[1], np.ascontiguousarray(found[2])
-    mesh = mesh_of(placed.surface)
-    at = closest_walk(mesh, placed.vertices, np.ascontiguousarray(points), start)
-    corners = placed.vertices[mesh.faces[at.face]]
-    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
 
 
 @dataclass(frozen=True, eq=False)
