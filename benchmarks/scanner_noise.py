@@ -21,7 +21,7 @@ from benchmarks.scanner_parts import setting
 from benchmarks.scanner_parts.pictures import figure, scan_sheet
 from synthgen.errors import ConfigError
 from synthgen.scanner import Effects, Scan, ScanScene, UnitScan, load_rig, scaled
-from synthgen.scanner.evaluate import coverage, seen_by_pairs
+from synthgen.scanner.hand import HandSolid
 from synthgen.scanner.match import DisparityGrid
 from synthgen.scanner.noise_fit import fit_noise
 from synthgen.scanner.pipeline import assemble, measure
@@ -119,17 +119,14 @@ def _scanned(
     return assemble(parts, ScanScene((solid,)), level, asked), [part.unit for part in parts]
 
 
-def _hand(sample: int, spin: float, tone: float) -> Any:
+def _hand(sample: int, spin: float, tone: float) -> HandSolid:
     asked = [f"skin.tones=[{tone},{tone}]"]
-    return setting.hand(sample, spin, asked, flat=False).solid
+    return setting.hand(sample, spin, asked, flat=False)
 
 
 def _fused(found: Scan, case: tuple[int, float, float, int]) -> dict[str, float]:
-    solid, rig = _hand(*case[:3]), load_rig("hand5", case[3])
-    pick = np.arange(0, len(solid.vertices), 5)
-    points, normals = solid.vertices[pick], solid.normals[pick]
-    stage = setting.staged([solid], rig)
-    seen, invented = coverage(found, points, seen_by_pairs(stage, rig.units, points, normals), 1e-3)
+    held, rig = _hand(*case[:3]), load_rig("hand5", case[3])
+    seen, invented = setting.covered(found, setting.staged([held.solid], rig), held, rig)
     error = 1e3 * found.provenance["error_m"]
     return {
         "RMS": setting.fused_rms(found),
@@ -209,7 +206,7 @@ def write(name: str = "hand5") -> Path:
     pairs, albedo, step = [], [], 1
     for sample, spin, tone, seed in FITTED:
         rig = load_rig(name, seed)
-        solid = _hand(sample, spin, tone)
+        solid = _hand(sample, spin, tone).solid
         stage = setting.staged([solid], rig, sample, Effects())
         asked = replace(setting.settings(rig), truth=False)
         for unit in rig.units:

@@ -17,7 +17,8 @@ from benchmarks.scanner_parts.pictures import error_maps, scan_sheet
 from benchmarks.scanner_parts.rows import Row, row
 from benchmarks.scanner_parts.targets import ball
 from synthgen.scanner import Scan, ScanScene, is_green, scan, settings_for
-from synthgen.scanner.evaluate import coverage, pair_figures, seen_by_pairs
+from synthgen.scanner.evaluate import pair_figures
+from synthgen.scanner.hand import HandSolid
 from synthgen.scanner.match import BEST, match
 from synthgen.scanner.pipeline import assemble, measure
 from synthgen.scanner.rig import Rig
@@ -51,9 +52,9 @@ def spacing(_: Path) -> list[Row]:
 
 def hand(pictures: Path) -> list[Row]:
     """T7: a flat hand without added errors: pair, ``best``, matching time, fusion, holes."""
-    of, solid = setting.rig(), setting.hand().solid
-    scene = ScanScene((solid,))
-    stage = setting.staged([solid], of)
+    of, held = setting.rig(), setting.hand()
+    scene = ScanScene((held.solid,))
+    stage = setting.staged([held.solid], of)
     asked = setting.settings(of, spp=9)
     parts = [measure(stage, unit, "full", asked) for unit in of.units]
     facing = max(parts, key=lambda p: int(np.isfinite(p.unit.disparity).sum())).unit
@@ -73,15 +74,12 @@ def hand(pictures: Path) -> list[Row]:
     error_maps([("default", facing), ("best", best)], pictures / "T7_pair.png")
     found = assemble(parts, scene, "full", asked)
     scan_sheet(found, pictures / "T7_fused_exact.png")
-    return rows + fused_rows(found, stage, solid, of)
+    return rows + fused_rows(found, stage, held, of)
 
 
-def fused_rows(found: Scan, stage: Any, solid: Any, of: Rig) -> list[Row]:
+def fused_rows(found: Scan, stage: Any, held: HandSolid, of: Rig) -> list[Row]:
     """Rows of a fused hand without added errors."""
-    pick = np.arange(0, len(solid.vertices), 3)
-    points, normals = solid.vertices[pick], solid.normals[pick]
-    there = seen_by_pairs(stage, of.units, points, normals)
-    seen, invented = coverage(found, points, there, 1e-3)
+    seen, invented = setting.covered(found, stage, held, of)
     error = 1e3 * found.provenance["error_m"]
     return [
         row("T7 fused, exact calibration: RMS", float(np.sqrt(np.mean(error**2))), None, 0.04),

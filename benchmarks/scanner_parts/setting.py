@@ -12,6 +12,7 @@ from synthgen.geometry.normals import unit
 from synthgen.sampling import stream
 from synthgen.sampling.draw import draw_sample
 from synthgen.scanner import Effects, ScanScene, ScanSettings, load_rig, settings_for
+from synthgen.scanner.evaluate import coverage, seen_by_pairs, surface_samples
 from synthgen.scanner.hand import HandSolid, hand_solid, put_in_rig
 from synthgen.scanner.pipeline import Measurement, measure
 from synthgen.scanner.rig import Rig, only
@@ -67,6 +68,14 @@ def hand(index: int = 0, spin: float = 0.0, asked: Any = (), *, flat: bool = Tru
         straight = tuple([subject.pose[0], *[(0.0, 0.0, 0.0)] * 15])
         subject = replace(subject, pose=straight)
     return hand_solid(put_in_rig(subject, spin))
+
+
+def covered(found: Any, stage: Any, held: HandSolid, of: Any) -> tuple[float, float]:
+    """Shares of the seen and of the never-seen skin that a scan has within 1 mm."""
+    skin = held.solid.faces[held.source >= 0][::3]
+    points, normals, areas = surface_samples(held.solid.vertices, skin)
+    seen = seen_by_pairs(stage, of.units, points, normals)
+    return coverage(found, points, areas, seen, 1e-3)
 
 
 def fused_rms(found: Any) -> float:

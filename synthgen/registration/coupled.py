@@ -23,8 +23,8 @@ from synthgen.registration.free_mesh import (
     closest_exact,
     closest_walk,
     mesh_of,
+    quadratic,
 )
-from synthgen.registration.free_mesh import quadratic as quadratic_of
 from synthgen.registration.scan import Scan
 from synthgen.registration.surface import Placed, Surface
 from synthgen.registration.terms import Term
@@ -122,34 +122,56 @@ def couple(
 ) -> Coupled:
     """Free the mesh from the model, starting at a good fit x."""
     mesh, placed = mesh_of(surface), surface.at(x)
-    free, at, problem = placed.vertices.copy(), None, None
-    points = np.ascontiguousarray(scan.points[: settings.points])
-    for k in range(settings.rounds):
-        if at is None:
-            at = closest_exact(mesh, free, points)
-        else:
-            at = closest_walk(mesh, free, points, at.corner(mesh))
-        wide = settings.first if k == 0 else 1.0
-        problem = _problem(mesh, free, points, scan, at, noise_m, settings, wide)
-        if settings.follow:
-            free, placed = _alternate(surface, placed, free, problem, priors, settings)
-        else:
-            free = problem.solve(placed.vertices, free, TOLERANCE_M)
-    seen = np.zeros(len(free), dtype=bool)
-    if at is not None and problem is not None:
-        seen[np.unique(mesh.faces[at.face[problem.kept]])] = True
-    return Coupled(free, placed.x, seen)
+    if not settings.follow:
+        free, seen = freed(mesh, placed.vertices, scan, noise_m, settings)
+        return Coupled(free, placed.x, seen)
+    free, matches = placed.vertices.copy(), _Matches(mesh, scan, noise_m, settings)
+    for _ in range(settings.rounds):
+        problem = matches.beside(free)
+        free, placed = _alternate(surface, placed, free, problem, priors, settings)
+    return Coupled(free, placed.x, matches.seen)
 
 
-def _problem(
-    mesh: Topology, free: Array, points: Array, scan: Scan, at: Closest, noise_m: float,
-    settings: CoupledSettings, wide: float,
-) -> Quadratic:  # fmt: skip
-    return quadratic_of(
-        mesh, free, points, scan.normals[: settings.points], at, noise_m=noise_m,
-        edge_sd_m=settings.edge_sd_m, tie_sd_m=settings.offset_sd_m,
-        sigma_m=wide * settings.sigma_m, cut_m=wide * settings.cut_m, cosine=settings.cosine,
-    )  # fmt: skip
+def freed(
+    mesh: Topology, model: Array, scan: Scan, noise_m: float, settings: CoupledSettings = BODY
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Free a mesh from a model that stays: vertices (V, 3) and which have data (V,).
+
+    ``model`` (V, 3), metres: the vertices of a good fit, of any model.
+    """
+    free, matches = np.array(model, dtype=np.float64), _Matches(mesh, scan, noise_m, settings)
+    for _ in range(settings.rounds):
+        free = matches.beside(free).solve(model, free, TOLERANCE_M)
+    return free, matches.seen
+
+
+class _Matches:
+    """Closest points, renewed each round: the first search is exact, the others walk on."""
+
+    def __init__(
+        self, mesh: Topology, scan: Scan, noise_m: float, settings: CoupledSettings
+    ) -> None:
+        self.mesh, self.noise_m, self.settings = mesh, noise_m, settings
+        self.points = np.ascontiguousarray(scan.points[: settings.points])
+        self.normals = scan.normals[: settings.points]
+        self.at: Closest | None = None
+        self.seen = np.zeros(len(mesh.rim), dtype=bool)
+
+    def beside(self, free: Array) -> Quadratic:
+        """Match the points with a mesh and sum their distances from it."""
+        s, wide = self.settings, self.settings.first if self.at is None else 1.0
+        if self.at is None:
+            self.at = closest_exact(self.mesh, free, self.points)
+        else:
+            self.at = closest_walk(self.mesh, free, self.points, self.at.corner(self.mesh))
+        found = quadratic(
+            self.mesh, free, self.points, self.normals, self.at, noise_m=self.noise_m,
+            edge_sd_m=s.edge_sd_m, tie_sd_m=s.offset_sd_m, sigma_m=wide * s.sigma_m,
+            cut_m=wide * s.cut_m, cosine=s.cosine,
+        )  # fmt: skip
+        self.seen[:] = False
+        self.seen[self.mesh.faces[self.at.face[found.kept]].ravel()] = True
+        return found
 
 
 def _alternate(

@@ -134,6 +134,16 @@ def mesh_of(surface: Surface) -> Topology:
     return topology(surface.faces, surface.n_vertices)
 
 
+def walked_to(
+    surface: Surface, vertices: Array, points: Array, start: Ints
+) -> tuple[Array, Ints, Array]:
+    """Squared distances (m,), faces (m,) and closest points (m, 3), walking from vertices."""
+    mesh = mesh_of(surface)
+    at = closest_walk(mesh, vertices, np.ascontiguousarray(points), start)
+    corners = vertices[mesh.faces[at.face]]
+    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
+
+
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """``V^T K V / 2 - V^T pull`` with data blocks (V, 3, 3), (E, 3, 3) and isotropic ties.

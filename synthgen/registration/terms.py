@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from synthgen.registration.free_mesh import closest_walk, mesh_of
+from synthgen.registration.free_mesh import walked_to
 from synthgen.registration.scan import Scan, nearest
-from synthgen.registration.surface import Found, Placed, Surface
+from synthgen.registration.surface import Placed, Surface
 
 Array = NDArray[np.float64]
 Where = slice | NDArray[np.int64]
@@ -109,7 +109,7 @@ def closest(
     if start is None:
         squared, face, point = placed.nearest(points, neighbours)
     else:
-        squared, face, point = _walked(placed, points, start)
+        squared, face, point = walked_to(s, placed.vertices, points, start)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
@@ -118,14 +118,6 @@ def closest(
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
     return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
-
-
-def _walked(placed: Placed, points: Array, start: NDArray[np.int64]) -> Found:
-    """Squared distances, faces and closest points, walking from vertices."""
-    mesh = mesh_of(placed.surface)
-    at = closest_walk(mesh, placed.vertices, np.ascontiguousarray(points), start)
-    corners = placed.vertices[mesh.faces[at.face]]
-    return at.squared, at.face, np.einsum("mk,mka->ma", at.barycentric, corners)
 
 
 @dataclass(frozen=True, eq=False)
