@@ -166,7 +166,7 @@ def _trip(sample: Sample, number: int, start: str) -> HandTrip:
 def _from_truth(sample: Sample, number: int) -> str:
     """How the fit ends that starts from the truth: the sample is sound if it is no fail."""
     again = _trip(sample, number, "gt")
-    return f"{again.verdict} {again.reason}".strip()
+    return f"{again.verdict} {again.reason.partition(':')[0]}".strip()
 
 
 def starting_point(index: int, subject: Subject, start: str) -> Any:

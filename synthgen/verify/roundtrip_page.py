@@ -5,13 +5,16 @@ from __future__ import annotations
 import base64
 import html
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from synthgen.registration.overlay import draw_overlay
 from synthgen.verify.roundtrip import HandTrip, RoundTrip
 
+Array = NDArray[np.float64]
 PICTURES = 40
 
 
@@ -46,32 +49,41 @@ def _row(hand: HandTrip) -> str:
 
 
 def _card(hand: HandTrip) -> str:
+    """Pictures of a fit and, where it did not pass, of the truth in its place."""
     assert hand.fit is not None
     points = np.zeros((0, 3)) if hand.points is None else hand.points
     title = f"sample {hand.sample}, hand {hand.hand_number}: {hand.verdict} {hand.reason}"
-    picture = draw_overlay(points, hand.fit.vertices, hand.fit.model.faces, title)
-    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]),
-                            [cv2.IMWRITE_JPEG_QUALITY, 80])  # fmt: skip
-    text = base64.b64encode(data.tobytes()).decode() if ok else ""
-    return (f'<figure><img alt="{html.escape(title)}" src="data:image/jpeg;base64,{text}">'
-            f"<figcaption>{html.escape(title)}</figcaption></figure>")  # fmt: skip
+    pictures = [_picture(points, hand.fit.vertices, hand.fit.model.faces, "the fit")]
+    if hand.verdict != "pass" and hand.truth is not None:
+        pictures.append(_picture(points, hand.truth, hand.fit.model.faces, "the truth"))
+    return f"<figure>{''.join(pictures)}<figcaption>{html.escape(title)}</figcaption></figure>"
+
+
+def _picture(points: Array, vertices: Array, faces: NDArray[Any], what: str) -> str:
+    picture = draw_overlay(points, vertices, faces, what)
+    data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]),
+                        [cv2.IMWRITE_JPEG_QUALITY, 80])[1]  # fmt: skip
+    text = base64.b64encode(data.tobytes()).decode()
+    return f'<img alt="{what}" src="data:image/jpeg;base64,{text}">'
 
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}: round trip</title>
 <style>
-body {{ font: 15px/1.4 system-ui, sans-serif; margin: 2em auto; max-width: 1100px; padding: 0 1em;
+body {{ font: 15px/1.4 system-ui, sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em;
   color: #222; background: #fff }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
 td, th {{ padding: .2em .6em; text-align: right; border-bottom: 1px solid #ddd }}
 td:nth-child(-n+5), th:nth-child(-n+5) {{ text-align: left }}
 tr.truth_mismatch {{ background: #fdd }} tr.fail {{ background: #ffe9d0 }}
 tr.unobserved {{ background: #fffbd6 }}
-figure {{ display: inline-block; margin: 1em 1em 0 0 }} img {{ width: 520px; max-width: 100% }}
+td:nth-child(4) {{ min-width: 13em }} figure {{ margin: 1.5em 0 0 }}
+img {{ width: 520px; max-width: 49% }}
 figcaption {{ font-size: 13px; color: #555 }}
 </style>
 <h1>{title}: round trip from {start}</h1>
 <p><b>{state}</b>: {counts}. Worst first. Left to right in each picture: the stored points; points
-over the fit; the fit coloured by distance (green 0, red 1 mm and more, grey not seen).</p>
+over the surface; the surface coloured by their distance (green 0, red 1 mm and more, grey not
+seen). What did not pass is shown twice: as fitted, and as it truly was.</p>
 <table><thead><tr><th>sample<th>hand<th>verdict<th>reason<th>source<th>v2v mm<th>v2v seen
 <th>surface seen<th>joints mm<th>rotation deg<th>coverage<th>truth explains<th>x floor</tr></thead>
 <tbody>
