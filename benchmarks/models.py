@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 TESTS = Path(__file__).resolve().parents[1] / "tests" / "models"
 PAIRS = {"mano": 385, "smplh": 3441, "supr": 5233}  # 778, 6890 and 10474 vertices
 SECONDS, BURST = 2.0, 0.1  # of both together for each line, and of one without a break
+CALLS = 7  # of either at least: the median of three would be one of the extremes now and then
 Call = Callable[[], Any]
 
 
@@ -333,7 +334,7 @@ def _take_turns(ours: Call, theirs: Call) -> tuple[float, float]:
     """Median CPU milliseconds of both, in alternating bursts of BURST seconds."""
     times: tuple[list[float], list[float]] = ([], [])
     end = time.perf_counter() + SECONDS
-    while time.perf_counter() < end or len(times[1]) < 3:
+    while time.perf_counter() < end or len(times[1]) < CALLS:
         for call, own in zip((ours, theirs), times, strict=True):
             call()  # what the other left in the caches is not ours to answer for
             stop = time.perf_counter() + BURST
