@@ -59,7 +59,7 @@ class MatchSettings:
     seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
-    correlation: float = 0.85
+    correlation: float = 0.845
     sweeps: int = 8
     agreement_px: float = 0.3
     rows: int = 0

@@ -32,6 +32,8 @@ SLOPES = (0.1, 0.2, 0.3, 0.45, 0.7)
 """Upper ends of the bins of slope (pixels of disparity per pixel); the last bin is open."""
 
 _DARKEST = 0.02
+# Holes hang together over this many times the way of the errors.
+_HOLES = 2
 _Positive = Annotated[float, Field(ge=0.0, le=20.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -120,7 +122,7 @@ def add_noise(
     wild = _correlated(ideal.shape, near, rng=rng)
     limit = np.quantile(np.abs(wild), 1 - model.wild_share) if model.wild_share else np.inf
     noise = noise * np.where(np.abs(wild) > limit, np.float32(model.wild_factor), np.float32(1))
-    luck = _uniform(_correlated(ideal.shape, near, rng=rng))
+    luck = _uniform(_correlated(ideal.shape, _HOLES * near, rng=rng))
     if model.long_part:
         far = _correlated(ideal.shape, model.long_px / step, rng=rng)
         whole = 1 + model.wild_share * (model.wild_factor**2 - 1)

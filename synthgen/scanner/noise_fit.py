@@ -13,7 +13,7 @@ from scipy.special import erfc
 from synthgen.errors import ShapeError
 from synthgen.scanner.noise import SLOPES, Grid, NoiseModel, edge_bin, slope_bin, smoothed
 
-_EDGE_BINS, _INNER, _LAGS, _LARGEST_PX = 6, 3, 4, 2.0
+_EDGE_BINS, _INNER, _FROM_HOLES, _LAGS, _LARGEST_PX = 6, 3, 2, 4, 2.0
 # Multiples of the robust deviation beyond which errors are counted to tell wild ones.
 _BEYOND = (0.6745, 1.5, 2.5, 4.0, 6.0)
 # Lags, samples, at which the window's own correlation is gone.
@@ -45,14 +45,19 @@ def fit_noise(
         raise ShapeError(f"{count} matched samples are too few to fit a noise model; give 1000")
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
     residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
-    # Near edges samples are missing rather than noisy, and filters remove what is left.
-    inner = [edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER for _, ideal in pairs]
+    # Near edges and holes samples are missing rather than noisy; filters remove what is left.
+    inner = [
+        (edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER)
+        & (edge_bin(np.isfinite(measured), _EDGE_BINS) >= _FROM_HOLES)
+        for measured, ideal in pairs
+    ]
     residuals = [np.where(i, r, np.nan) for i, r in zip(inner, residuals, strict=True)]
     tones = np.ones(len(pairs)) if albedo is None else np.array(albedo, np.float64)
-    reference, power = _tone(residuals, tones)
+    bins = [slope_bin(ideal, step) for _, ideal in pairs]
+    even = _sigma_per_bin(residuals, bins)  # steep samples are the first to be lost on dark skin
+    reference, power = _tone([r / even[b] for r, b in zip(residuals, bins, strict=True)], tones)
     strength = (tones / reference) ** -power
     residuals = [r / np.float32(k) for r, k in zip(residuals, strength, strict=True)]
-    bins = [slope_bin(ideal, step) for _, ideal in pairs]
     sigma = _sigma_per_bin(residuals, bins)
     share, factor, base = _wildness([r / sigma[b] for r, b in zip(residuals, bins, strict=True)])
     sigma = sigma * base
