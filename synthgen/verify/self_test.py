@@ -30,7 +30,8 @@ PRODUCTS: dict[str, tuple[str, ...]] = {
     "scan": ("meta", "scan"),
 }
 ROUND_TRIP = "round trip"
-# Who says so, if generator and checker share a mistake.
+# Who says so, if generator and checker share a mistake. Of code that both use (models, cameras) the
+# tests have further ones: kornia for depth, normals and projection, smplx, mirror symmetry.
 WITNESSES = {
     "camera": "the plan",
     "camera rotation": "orthonormality",

@@ -65,7 +65,7 @@ def test_edge_frozen() -> None:
         ({"camera": {"fov_deg": [60, 20]}}, r"write \[20.0, 60.0\]"),
         ({"camera": {"fov_deg": [20]}}, "camera.fov_deg"),
         ({"light": {"constant": 0, "area": 0, "room": 0}}, "positive weight"),
-        ({"corpus": {"columns": ["image"]}}, "depth, labels, meta missing"),
+        ({"corpus": {"columns": ["image"]}}, "labels, meta missing"),
         ({"corpus": {"columns": ["image", "image", "depth", "labels", "meta"]}}, "twice"),
         ({"subjects": {"count": 0}}, "or null"),
         ({"shape": {"sigma": 0}}, "above 0 up to 3"),
