@@ -7,7 +7,7 @@ joint turned by 4 degrees; rotations uniform over SO(3); three depth cameras, ho
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from synthgen import models
 from synthgen.cc0.poses import protocol_poses
 from synthgen.registration import Fit, fit
-from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail, with_shape
 from synthgen.registration.surface import surface_of
 from synthgen.sampling.limits import limits_of
 from synthgen.sampling.shape import sample_shape
@@ -164,7 +164,7 @@ def row(name: str, found: list[Outcome]) -> list[Any]:
         share(sum(o.error < SUCCESS_MM for o in wide), len(wide)),
         share(int((error < BASIN_MM).sum()), len(found)),
         float(error[good].mean()) if good.any() else float("nan"),
-        float(np.mean([o.surface_seen for o in found if o.error < BASIN_MM])),
+        float(np.mean([o.surface_seen for o in found if o.fit.verdict != "fail"] or [np.nan])),
         float(np.median(cpu)),
         float(np.quantile(cpu, 0.95)),
         " / ".join(str(verdicts.count(v)) for v in ("pass", "unobserved", "fail")),
@@ -216,6 +216,43 @@ def adam(cases: list[Case], steps: int, rate: float) -> list[Any]:
             error, "", cpu, "", "", ""]  # fmt: skip
 
 
+def coupled_bodies(name: str, n: int) -> list[Any]:
+    """Free bodies whose shape lies outside the model, from 40k points of 0.75 mm noise.
+
+    The model's parameters are the truth's, off by 0.1 degrees a joint: what a body fit leaves.
+    """
+    import igl
+
+    from synthgen.registration.coupled import freed
+    from synthgen.registration.free_mesh import topology
+    from synthgen.registration.scan import scan_of
+
+    model = models.load(name)
+    mesh = topology(model.faces, len(model.v_template))
+    settings = ScanSettings(views=20, points=40_000, noise_m=7.5e-4, holes=0, pixels=240)
+    before, after, cpu = [], [], []
+    for k in range(n + 1):  # the first compiles the kernels
+        rng = stream(k, "sample", 0, 0, "coupled body")
+        template = with_shape(model.v_template, 1.7e-3, rng=rng)
+        true = replace(model, v_template=template, digest="subject")
+        beta = sample_shape(model.n_shape, sigma=1.0, limit=2.0, rng=rng)[None]
+        pose = rng.normal(0, 0.15, (1, len(model.parents), 3))
+        vertices = true.evaluate(beta, pose).vertices[0].astype(np.float64)
+        points, normals, _ = simulate_scan(vertices, model.faces, settings, rng=rng)
+        off = pose + rng.normal(0, np.deg2rad(0.1), pose.shape)
+        placed = model.evaluate(beta, off).vertices[0].astype(np.float64)
+        began = time.process_time()
+        free, seen = freed(mesh, placed, scan_of(points, normals), 7.5e-4)
+        cpu.append(time.process_time() - began)
+        for found, mean in ((placed, before), (free, after)):
+            squared = igl.point_mesh_squared_distance(vertices[seen], found, mesh.faces)[0]
+            mean.append(1e3 * float(np.sqrt(squared).mean()))
+    half = 1.96 * np.std(after[1:]) / np.sqrt(n)
+    return [f"{name}, coupled stage alone (surface {np.mean(before[1:]):.2f} before)", n, "", "",
+            "", "", f"{np.mean(after[1:]):.3f} +- {half:.3f}", float(np.median(cpu[1:])),
+            float(np.quantile(cpu[1:], 0.95)), "", ""]  # fmt: skip
+
+
 COLUMNS = [
     "series", "n", "v2v < 1.5 mm", "same, coverage >= .5", "v2v < 5 mm", "v2v mm (good)",
     "surface mm (seen)", "CPU s median", "p95", "pass/unobserved/fail", "false pass",
@@ -240,6 +277,7 @@ def run(n: int = FEW) -> dict[str, Any]:
             "a third of it rough, coupled",
             series(n // 2, 5, "perturbed", detail_m=6e-4, rough=1 / 3, coupled=True),
         ),
+        *(coupled_bodies(name, max(n // 4, 2)) for name in ("cc0-body", "cc0-supr")),
     ]
     return {
         "title": "Registration of hands (cc0-hand), foreign poses; 95 % intervals",
@@ -248,5 +286,7 @@ def run(n: int = FEW) -> dict[str, Any]:
         "notes": [
             "Paper: 77 % of scans accepted, about 30 s a scan on 4 threads, poses known.",
             "Detail: displacements that no model expresses (0.6 mm); the others are in-model.",
+            "With detail, v2v (and a false pass by it) is about correspondence; see the surface.",
+            "Surface: from true vertices within 1.5 mm of a scan point to the mesh; fails left out.",
         ],
     }
