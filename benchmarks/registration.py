@@ -287,6 +287,6 @@ def run(n: int = FEW) -> dict[str, Any]:
             "Paper: 77 % of scans accepted, about 30 s a scan on 4 threads, poses known.",
             "Detail: displacements that no model expresses (0.6 mm); the others are in-model.",
             "With detail, v2v (and a false pass by it) is about correspondence; see the surface.",
-            "Surface: from true vertices within 1.5 mm of a scan point to the mesh; fails left out.",
+            "Surface: from true vertices within 1.5 mm of a scan point to the mesh; without fails.",
         ],
     }

@@ -161,9 +161,7 @@ def statistics(
     noise = median / 0.6745
     limit = max(1e-3, 4 * noise)
     bad = (distance > limit) | ~facing
-    part = part_of_vertex(placed.surface.model)[
-        pairs.triangle[np.arange(len(points)), pairs.barycentric.argmax(axis=1)]
-    ]
+    part = part_of_vertex(placed.surface.model)[pairs.corner]
     unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
     for k in range(len(PARTS)):
         own = near & (part == k)
@@ -199,8 +197,7 @@ def statistics(
 def _corners(last: Pairs | None, scan: Scan) -> NDArray[np.int64] | None:
     if last is None or len(last.triangle) < len(scan.points):
         return None
-    corner = last.barycentric.argmax(axis=1)
-    return np.asarray(last.triangle[np.arange(len(corner)), corner][-EVALUATED:])
+    return last.corner[-EVALUATED:]
 
 
 def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
