@@ -7,22 +7,25 @@ joint turned by 4 degrees; rotations uniform over SO(3); three depth cameras, ho
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from synthgen import models
 from synthgen.cc0.poses import protocol_poses
 from synthgen.registration import Fit, fit
-from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail, with_shape
 from synthgen.registration.surface import surface_of
 from synthgen.sampling.limits import limits_of
 from synthgen.sampling.shape import sample_shape
 from synthgen.sampling.streams import stream
 
 FEW = 24
+ADAM = ((120, 0.03), (480, 0.03))
+SEEN_M = 0.0015  # a vertex is seen if a scan point is so near; coverage counts 2.5 mm
 SUCCESS_MM, BASIN_MM = 1.5, 5.0
 
 
@@ -104,8 +107,9 @@ def measure(case: Case, start: str, **settings: Any) -> Outcome:
     mesh = found.vertices if found.free_vertices is None else found.free_vertices
     faces = np.ascontiguousarray(model.faces, np.int64)
     surface = 1e3 * np.sqrt(igl.point_mesh_squared_distance(case.vertices, mesh, faces)[0])
+    distance: Any = cKDTree(case.points).query(case.vertices)[0]
     return Outcome(case, found, float(error.mean()), float(error[case.seen].mean()),
-                   float(surface[case.seen].mean()), cpu)  # fmt: skip
+                   float(surface[distance < SEEN_M].mean()), cpu)  # fmt: skip
 
 
 def series(n: int, seed: int, start: str, **settings: Any) -> list[Outcome]:
@@ -160,7 +164,7 @@ def row(name: str, found: list[Outcome]) -> list[Any]:
         share(sum(o.error < SUCCESS_MM for o in wide), len(wide)),
         share(int((error < BASIN_MM).sum()), len(found)),
         float(error[good].mean()) if good.any() else float("nan"),
-        float(np.mean([o.surface_seen for o in found if o.error < BASIN_MM])),
+        float(np.mean([o.surface_seen for o in found if o.fit.verdict != "fail"] or [np.nan])),
         float(np.median(cpu)),
         float(np.quantile(cpu, 0.95)),
         " / ".join(str(verdicts.count(v)) for v in ("pass", "unobserved", "fail")),
@@ -168,10 +172,11 @@ def row(name: str, found: list[Outcome]) -> list[Any]:
     ]
 
 
-def adam(cases: list[Case], steps: int) -> list[Any]:
-    """Torch's Adam on the same energy and derivatives, from the same coarse result.
+def adam(cases: list[Case], steps: int, rate: float) -> list[Any]:
+    """Torch's Adam on the same energy, derivatives and closest points, from the same coarse result.
 
-    Its gradients are analytic, which costs a third of autograd through the model.
+    Its gradients are analytic, which costs a third of autograd through the model; the rate falls
+    to a fiftieth. Rates of 0.01, 0.03 and 0.1 were tried.
     """
     import torch
 
@@ -189,13 +194,15 @@ def adam(cases: list[Case], steps: int) -> list[Any]:
         scale = np.ones(run.settings.surface.n)
         scale[run.settings.surface.translation] = 0.02  # metres are large steps
         y = torch.tensor(run.vectors[0] / scale)
-        optimiser = torch.optim.Adam([y], lr=0.03)
+        optimiser = torch.optim.Adam([y], lr=rate)
         decay = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.02 ** (1 / steps))
-        stages = run.settings.preset.finish[:3]
+        energies = [
+            Energy(run.settings.surface,
+                   stage_terms(scan, stage, run.settings.priors(stage.prior)))
+            for stage in run.settings.preset.finish[:3]
+        ]  # fmt: skip
         for k in range(steps):
-            stage = stages[min(3 * k // steps, 2)]
-            terms = stage_terms(scan, stage, run.settings.priors(stage.prior))
-            energy = Energy(run.settings.surface, terms)
+            energy = energies[3 * k // steps]
             gradient = energy.normal_equations(energy.at(scale * y.numpy()))[1]
             y.grad = torch.from_numpy(scale * gradient)
             optimiser.step()
@@ -205,8 +212,45 @@ def adam(cases: list[Case], steps: int) -> list[Any]:
         errors.append(1e3 * float(np.linalg.norm(vertices - case.vertices, axis=1).mean()))
     good = sum(e < SUCCESS_MM for e in errors)
     error, cpu = float(np.median(errors)), float(np.median(seconds))
-    return [f"torch Adam, {steps} steps", len(cases), share(good, len(cases)), "", "", error, "",
-            cpu, "", "", ""]  # fmt: skip
+    return [f"torch Adam, {steps} steps, rate {rate}", len(cases), share(good, len(cases)), "", "",
+            error, "", cpu, "", "", ""]  # fmt: skip
+
+
+def coupled_bodies(name: str, n: int) -> list[Any]:
+    """Free bodies whose shape lies outside the model, from 40k points of 0.75 mm noise.
+
+    The model's parameters are the truth's, off by 0.1 degrees a joint: what a body fit leaves.
+    """
+    import igl
+
+    from synthgen.registration.coupled import freed
+    from synthgen.registration.free_mesh import topology
+    from synthgen.registration.scan import scan_of
+
+    model = models.load(name)
+    mesh = topology(model.faces, len(model.v_template))
+    settings = ScanSettings(views=20, points=40_000, noise_m=7.5e-4, holes=0, pixels=240)
+    before, after, cpu = [], [], []
+    for k in range(n + 1):  # the first compiles the kernels
+        rng = stream(k, "sample", 0, 0, "coupled body")
+        template = with_shape(model.v_template, 1.7e-3, rng=rng)
+        true = replace(model, v_template=template, digest="subject")
+        beta = sample_shape(model.n_shape, sigma=1.0, limit=2.0, rng=rng)[None]
+        pose = rng.normal(0, 0.15, (1, len(model.parents), 3))
+        vertices = true.evaluate(beta, pose).vertices[0].astype(np.float64)
+        points, normals, _ = simulate_scan(vertices, model.faces, settings, rng=rng)
+        off = pose + rng.normal(0, np.deg2rad(0.1), pose.shape)
+        placed = model.evaluate(beta, off).vertices[0].astype(np.float64)
+        began = time.process_time()
+        free, seen = freed(mesh, placed, scan_of(points, normals), 7.5e-4)
+        cpu.append(time.process_time() - began)
+        for found, mean in ((placed, before), (free, after)):
+            squared = igl.point_mesh_squared_distance(vertices[seen], found, mesh.faces)[0]
+            mean.append(1e3 * float(np.sqrt(squared).mean()))
+    half = 1.96 * np.std(after[1:]) / np.sqrt(n)
+    return [f"{name}, coupled stage alone (surface {np.mean(before[1:]):.2f} before)", n, "", "",
+            "", "", f"{np.mean(after[1:]):.3f} +- {half:.3f}", float(np.median(cpu[1:])),
+            float(np.quantile(cpu[1:], 0.95)), "", ""]  # fmt: skip
 
 
 COLUMNS = [
@@ -222,7 +266,7 @@ def run(n: int = FEW) -> dict[str, Any]:
     series(1, 99, "cold")
     rows = [
         row("perturbed, 0.2 mm", series(n, 0, "perturbed")),
-        *(adam([make_case(k, 0) for k in range(max(n // 8, 2))], steps) for steps in (100, 240)),
+        *(adam([make_case(k, 0) for k in range(max(n // 8, 2))], *how) for how in ADAM),
         row("cold, 0.2 mm", series(n, 1, "cold")),
         row("cold, 0.5 mm", series(n // 2, 2, "cold", noise_m=5e-4)),
         row("cold, 1.0 mm", series(n // 2, 3, "cold", noise_m=1e-3)),
@@ -233,6 +277,7 @@ def run(n: int = FEW) -> dict[str, Any]:
             "a third of it rough, coupled",
             series(n // 2, 5, "perturbed", detail_m=6e-4, rough=1 / 3, coupled=True),
         ),
+        *(coupled_bodies(name, max(n // 4, 2)) for name in ("cc0-body", "cc0-supr")),
     ]
     return {
         "title": "Registration of hands (cc0-hand), foreign poses; 95 % intervals",
@@ -241,5 +286,7 @@ def run(n: int = FEW) -> dict[str, Any]:
         "notes": [
             "Paper: 77 % of scans accepted, about 30 s a scan on 4 threads, poses known.",
             "Detail: displacements that no model expresses (0.6 mm); the others are in-model.",
+            "With detail, v2v (and a false pass by it) is about correspondence; see the surface.",
+            "Surface: from true vertices within 1.5 mm of a scan point to the mesh; without fails.",
         ],
     }

@@ -60,8 +60,7 @@ class Topology:
         m, v = len(self.edges), len(self.rim)
         rows, signs = np.repeat(np.arange(m), 2), np.tile([1.0, -1.0], m)
         d = sparse.csr_matrix((signs, (rows, self.edges.ravel())), (m, v))
-        result: sparse.csr_matrix = (d.T @ d).tocsr()
-        return result
+        return sparse.csr_matrix(d.T @ d)
 
 
 def topology(faces: NDArray[Any], n_vertices: int) -> Topology:

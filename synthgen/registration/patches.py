@@ -77,7 +77,7 @@ def patches_of(
     residual = np.sum((points - foot - pairs.shift) * pairs.normal, axis=1)
     facing = np.sum(pairs.normal * normals, axis=1) > 0.3
     used = pairs.kept & facing & (np.abs(residual) < 4 * noise_m)
-    vertex = pairs.triangle[np.arange(len(points)), pairs.barycentric.argmax(axis=1)][used]
+    vertex = pairs.corner[used]
     count = np.bincount(vertex, minlength=len(placed.vertices)).astype(np.float64)
     total = np.bincount(vertex, residual[used], len(placed.vertices))
     return Patches(count, total / np.maximum(count, 1), noise_m)

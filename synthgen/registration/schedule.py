@@ -16,8 +16,8 @@ from synthgen.registration.terms import GemanMcClure, MeshToScan, ScanToMesh, Te
 
 Array = NDArray[np.float64]
 MM = 1e-3
-# Stages that look no farther than this take steps so small that matches walk on from the last ones.
-WALK_M = 0.008
+# Stages of so many points take steps so small that matches walk on from the last ones.
+WALK_POINTS = 10_000
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def stage_terms(
             stage.cosine,
             stage.tangential,
             curved,
-            memory={} if stage.cut_m <= WALK_M else None,
+            memory={} if stage.points >= WALK_POINTS else None,
         )
     ]
     if stage.mesh_to_scan > 0:

@@ -207,10 +207,12 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         if stage.points >= FINAL.points and k + 1 < len(settings.preset.finish):
             inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
-    hessian = _information(settings, scan, outcome, stage)
+    hessian, gradient = _information(settings, scan, outcome, stage)
+    pending = float(gradient @ np.linalg.solve(hessian, gradient)) / max(outcome.trial.cost, 1e-9)
     found = statistics(
-        outcome.trial.placed, scan, hessian, settings.curved, inflation, outcome.trial.matches[0]
-    )
+        outcome.trial.placed, scan, hessian, settings.curved, inflation, outcome.trial.matches[0],
+        pending,
+    )  # fmt: skip
     verdict = judge(found, x[settings.surface.shape])
     return Candidate(x, source, early, found, verdict, hessian, log)
 
@@ -223,10 +225,14 @@ def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -
     return following.n_eff / found.effective(following.n_eff)
 
 
-def _information(settings: Settings, scan: Scan, outcome: Outcome, stage: Stage) -> Array:
-    """Return the last stage's Hessian at full priors: the parameters' inverse covariance."""
+def _information(
+    settings: Settings, scan: Scan, outcome: Outcome, stage: Stage
+) -> tuple[Array, Array]:
+    """Return the last stage's Hessian at full priors, the inverse covariance; and its gradient."""
     terms = stage_terms(scan, stage, settings.priors(1.0))
-    return Energy(settings.surface, terms).normal_equations(outcome.trial)[0]
+    hessian, gradient = Energy(settings.surface, terms).normal_equations(outcome.trial)
+    ridge = 1e-12 * np.trace(hessian) / len(hessian)
+    return hessian + ridge * np.eye(len(hessian)), gradient
 
 
 def _logged(stage: Stage, outcome: Outcome, began: float) -> dict[str, Any]:

@@ -144,3 +144,19 @@ def with_detail(
     bump *= amplitude_m / bump.std()
     result: Array = mesh + bump[:, None] * vertex_normals(mesh, faces)
     return result
+
+
+def with_shape(
+    vertices: NDArray[Any], amplitude_m: float, *, rng: np.random.Generator, longest_m: float = 0.3
+) -> Array:
+    """Add a shape that no component expresses: a smooth field of offsets in all directions.
+
+    ``amplitude_m`` is its mean length; its waves are a third of ``longest_m`` to ``longest_m``.
+    """
+    mesh = np.asarray(vertices, dtype=np.float64)
+    directions = unit(rng.standard_normal((12, 3)))
+    waves = 2 * np.pi * directions / rng.uniform(longest_m / 3, longest_m, (12, 1))
+    phase = mesh @ waves.T + rng.uniform(0, 2 * np.pi, 12)
+    offset = np.cos(phase) @ rng.standard_normal((12, 3))
+    result: Array = mesh + offset * (amplitude_m / np.linalg.norm(offset, axis=1).mean())
+    return result

@@ -62,6 +62,8 @@ class Statistics:
         Its 95 % quantile by part.
     inflation : float
         How much less the points tell, because the model misfits: a factor of variances.
+    pending : float
+        Share of the energy that one more step promises to remove.
     """
 
     explained: float
@@ -78,6 +80,7 @@ class Statistics:
     sd_m: Array
     sd95_m: Array
     inflation: float = 1.0
+    pending: float = 0.0
 
     @property
     def worst_unexplained(self) -> float:
@@ -112,6 +115,7 @@ class Statistics:
             "scan_to_mesh_rms_mm": 1e3 * self.rms_m,
             "noise_mm": 1e3 * self.noise_m,
             "local_noise_mm": 1e3 * self.local_noise_m,
+            "pending_step": self.pending,
             "worst_part_unexplained": self.worst_unexplained,
             "worst_part_p95_ratio": self.ratio,
             "predicted_vertex_sd_mm": {
@@ -140,6 +144,7 @@ def statistics(
     curved: float = 0.0,
     inflation: float = 1.0,
     last: Pairs | None = None,
+    pending: float = 0.0,
 ) -> Statistics:
     """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage.
 
@@ -156,9 +161,7 @@ def statistics(
     noise = median / 0.6745
     limit = max(1e-3, 4 * noise)
     bad = (distance > limit) | ~facing
-    part = part_of_vertex(placed.surface.model)[
-        pairs.triangle[np.arange(len(points)), pairs.barycentric.argmax(axis=1)]
-    ]
+    part = part_of_vertex(placed.surface.model)[pairs.corner]
     unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
     for k in range(len(PARTS)):
         own = near & (part == k)
@@ -187,14 +190,14 @@ def statistics(
         sd_m=sd,
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
         inflation=inflation,
+        pending=pending,
     )
 
 
 def _corners(last: Pairs | None, scan: Scan) -> NDArray[np.int64] | None:
     if last is None or len(last.triangle) < len(scan.points):
         return None
-    corner = last.barycentric.argmax(axis=1)
-    return np.asarray(last.triangle[np.arange(len(corner)), corner][-EVALUATED:])
+    return last.corner[-EVALUATED:]
 
 
 def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
@@ -208,10 +211,8 @@ def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
 
 def predicted_sd(placed: Placed, hessian: Array) -> Array:
     """Predict vertex standard deviations (V,), metres, from J H^-1 J^T."""
-    n = len(hessian)
-    ridge = 1e-12 * np.trace(hessian) / n
-    root = np.linalg.cholesky(np.linalg.inv(hessian + ridge * np.eye(n)))
-    spread = placed.jacobian.reshape(-1, n) @ root
+    root = np.linalg.cholesky(np.linalg.inv(hessian))
+    spread = placed.jacobian.reshape(-1, len(hessian)) @ root
     return np.asarray(np.sqrt(np.sum(spread**2, axis=1).reshape(-1, 3).sum(axis=1)))
 
 

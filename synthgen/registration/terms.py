@@ -84,6 +84,12 @@ class Pairs:
     kept: NDArray[np.bool_]
     rim: NDArray[np.bool_]
 
+    @property
+    def corner(self) -> NDArray[np.int64]:
+        """Vertex (m,) nearest to each closest point within its triangle."""
+        rows = np.arange(len(self.triangle))
+        return np.asarray(self.triangle[rows, self.barycentric.argmax(axis=1)])
+
 
 def closest(
     placed: Placed,
@@ -170,8 +176,7 @@ class ScanToMesh:
             start=start,
         )
         if self.memory is not None:
-            corner = found.barycentric.argmax(axis=1)
-            self.memory["corner"] = found.triangle[np.arange(len(corner)), corner]
+            self.memory["corner"] = found.corner
         return found
 
     def cost(self, placed: Placed, match: Pairs) -> float:

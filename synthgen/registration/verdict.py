@@ -24,7 +24,7 @@ REASONS = (
     "part_missed",  # (parts) parts of a body are badly explained
     "hole",  # (parts) the scan does not determine them: verdict unobserved
     "shape_limit",  # a shape coefficient beyond 4 standard deviations
-    "not_converged",
+    "not_converged",  # the solver was stopped on its way
     "noise_above_spec",  # points scatter by more than 2 mm, a body's by more than 4
     "truth_mismatch",  # round trip only: the fit is good and the truth is far
     "false_pass",  # round trip only: the same, but the truth explains the points as well
@@ -37,6 +37,7 @@ MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 BIASED, BIASED_RATIO = 0.05, 5.0
 SD95_M, SD_PER_NOISE = 5e-4, 0.7
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
+PENDING = 0.01  # one more step would lower the energy by a hundredth: the solver was cut short
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,9 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
            if s.unexplained[k] >= unexplained]  # fmt: skip
     if s.noise_m > NOISE_M:
         return Judgement("fail", "noise_above_spec")
-    if s.explained < EXPLAINED or len(bad) > 2:
+    # One or two bad fingers may be a large share of the points; the palm tells a wrong basin.
+    lost = s.explained < EXPLAINED and ("palm" in bad or not bad)
+    if lost or len(bad) > 2:
         return Judgement("fail", "cold_start_failed")
     if s.far > FAR:
         return Judgement("fail", "background")
@@ -90,6 +93,8 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
         return Judgement("fail", "finger_missed", (worst,))
     if not misfit and (wrong := biased_parts(s)):
         return Judgement("fail", "finger_missed", wrong)
+    if s.pending > PENDING:
+        return Judgement("fail", "not_converged")
     if np.abs(shape).max() > SHAPE_SD:
         return Judgement("fail", "shape_limit")
     limit = sd_limit_m(s.noise_m, s.inflation)

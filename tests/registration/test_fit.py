@@ -12,7 +12,8 @@ import synthgen
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import mirror_model
 from synthgen.registration import REASONS, Fit, fit, fit_many
-from tests.registration.hands import error_mm, model, perturbed, rng, scanned, surface, truth
+from synthgen.registration.simulated import ScanSettings, simulate_scan
+from tests.registration.hands import error_mm, model, perturbed, rng, scan, scanned, surface, truth
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 
@@ -179,6 +180,65 @@ def test_edge_bad_scans_fail_with_their_reason(name: str) -> None:
     assert name.startswith(found.reason)
     assert found.reason in REASONS
     assert found.report["message"]
+
+
+def swollen(*fingers: int) -> tuple[Any, Any]:
+    """A scan of a hand with bandaged fingers (MANO order): skin 2.5 mm outside the model's."""
+    from synthgen.geometry.normals import vertex_normals
+
+    vertices = surface().at(truth()).vertices
+    part = (model().weights.argmax(axis=1) + 2) // 3 - 1
+    thick = np.where(np.isin(part, fingers), 0.0025, 0.0)
+    bandaged = vertices + thick[:, None] * vertex_normals(vertices, surface().faces)
+    settings = ScanSettings(points=20_000, pixels=200)
+    return simulate_scan(bandaged, surface().faces, settings, rng=rng("bandage"))[:2]
+
+
+def test_edge_a_bandaged_finger_is_missed() -> None:
+    found = fit(*swollen(0), model(), perturbed(), "right")
+    assert (found.verdict, found.reason) == ("fail", "finger_missed(index)")
+
+
+def test_edge_two_odd_fingers_may_be_swapped() -> None:
+    found = fit(*swollen(0, 1), model(), perturbed(), "right")
+    assert found.verdict == "fail"
+    assert found.reason.startswith(("finger_swap", "cold_start_failed")), found.reason
+
+
+def test_edge_a_giant_shape_is_named() -> None:
+    x = truth().copy()
+    x[surface().shape] = 0
+    x[surface().shape.start + 1] = 7.0
+    vertices = surface().at(x).vertices
+    taken = simulate_scan(vertices, surface().faces, ScanSettings(points=20_000, pixels=200),
+                          rng=rng("giant"))  # fmt: skip
+    found = fit(*taken[:2], model(), perturbed(), "right")
+    assert (found.verdict, found.reason) == ("fail", "shape_limit")
+
+
+def test_edge_a_bad_sensor_is_named() -> None:
+    vertices = surface().at(truth()).vertices
+    settings = ScanSettings(points=20_000, pixels=200, noise_m=3.5e-3)
+    points, normals, _ = simulate_scan(vertices, surface().faces, settings, rng=rng("bad sensor"))
+    found = fit(points, normals, model(), perturbed(), "right")
+    assert found.verdict == "fail"
+    assert found.reason in ("noise_above_spec", "cold_start_failed")
+
+
+def test_edge_a_fit_that_was_cut_short_says_so() -> None:
+    from dataclasses import replace
+
+    from synthgen.registration import schedule
+    from synthgen.registration.fit import _Request
+    from synthgen.registration.search import finish
+
+    settings = _Request(model(), "fast", False, None, None, None, 0.0).settings("right")
+    hurried = schedule.Preset("hurried", (), (replace(schedule.LAST, iterations=0),))
+    x = truth().copy()
+    x[surface().translation] += [0, 0, 4e-4]
+    found = finish(replace(settings, preset=hurried), scan(), x, "given")
+    assert found.judgement is not None
+    assert found.judgement.text == "not_converged"
 
 
 def test_edge_some_nan_points_do_no_harm() -> None:

@@ -13,23 +13,12 @@ from synthgen.models import BodyModel
 from synthgen.registration.coupled import freed
 from synthgen.registration.free_mesh import Topology, topology
 from synthgen.registration.scan import scan_of
-from synthgen.registration.simulated import ScanSettings, simulate_scan
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_shape
 from synthgen.registration.template import Aligned, subject_template, unposed
 from synthgen.sampling.streams import stream
 
 NOISE_M, RESIDUAL_M = 7.5e-4, 1.7e-3
 SCAN = ScanSettings(views=20, points=40_000, noise_m=NOISE_M, holes=0, pixels=240)
-
-
-def field(points: np.ndarray, seed: int) -> np.ndarray:
-    """A smooth random offset field (V, 3), waves of 10-30 cm, mean length RESIDUAL_M."""
-    random = stream(seed, "sample", 0, 0, "residual shape")
-    directions = random.standard_normal((12, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    waves = 2 * np.pi * directions / random.uniform(0.1, 0.3, (12, 1))
-    phase = points @ waves.T + random.uniform(0, 2 * np.pi, 12)
-    offset = np.cos(phase) @ random.standard_normal((12, 3))
-    return offset * RESIDUAL_M / np.linalg.norm(offset, axis=1).mean()
 
 
 @lru_cache(maxsize=2)
@@ -38,7 +27,9 @@ def subject(name: str) -> tuple[BodyModel, BodyModel, Topology, np.ndarray]:
     from dataclasses import replace
 
     model = models.load(name)
-    true = replace(model, v_template=model.v_template + field(model.v_template, 3), digest="true")
+    rng = stream(3, "sample", 0, 0, "residual shape")
+    template = with_shape(model.v_template, RESIDUAL_M, rng=rng)
+    true = replace(model, v_template=template, digest="true")
     beta = np.clip(stream(3, "sample", 0, 0, "betas").standard_normal(model.n_shape), -1.5, 1.5)
     return model, true, topology(model.faces, len(model.v_template)), beta
 
