@@ -123,7 +123,7 @@ class BodyFollower:
             missed = found.better(state, missed)
             if missed:
                 placed, state = other, found
-        gone = {s: 0 if state.present[s] >= PRESENT else unseen[s] + 1 for s in SIDES}
+        gone = {side: 0 if side in run.seen else unseen[side] + 1 for side in SIDES}
         report = {**state.to_json(), "begun_afresh": list(missed), "steps": run.steps}
         return Frame(placed.x, state.judged(gone), gone, report)
 
