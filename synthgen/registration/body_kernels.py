@@ -227,3 +227,55 @@ def _nearest_on_triangle(p: Any, a: Any, b: Any, c: Any, out: Any) -> float:
     rx, ry, rz = wx - s * ux - t * vx, wy - s * uy - t * vy, wz - s * uz - t * vz
     out[0], out[1], out[2] = p[0] - rx, p[1] - ry, p[2] - rz
     return float(rx * rx + ry * ry + rz * rz)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def plane_product(
+    triangle: Any, barycentric: Any, normal: Any, weight: Any, tangential: float, x: Any, out: Any
+) -> None:
+    """Add sum_i w_i B_i^T (n_i n_i^T + tangential) B_i x to out (V, 3), B_i x a surface point's."""
+    for i in range(triangle.shape[0]):
+        t, b, n = triangle[i], barycentric[i], normal[i]
+        y0 = b[0] * x[t[0], 0] + b[1] * x[t[1], 0] + b[2] * x[t[2], 0]
+        y1 = b[0] * x[t[0], 1] + b[1] * x[t[1], 1] + b[2] * x[t[2], 1]
+        y2 = b[0] * x[t[0], 2] + b[1] * x[t[1], 2] + b[2] * x[t[2], 2]
+        _pull(t, b, n, weight[i], tangential, y0, y1, y2, out)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def plane_pull(
+    triangle: Any, barycentric: Any, normal: Any, weight: Any, tangential: float, y: Any, out: Any
+) -> None:
+    """Add sum_i w_i B_i^T (n_i n_i^T + tangential) y_i, y (m, 3), to out (V, 3)."""
+    for i in range(triangle.shape[0]):
+        _pull(triangle[i], barycentric[i], normal[i], weight[i], tangential, y[i, 0], y[i, 1],
+              y[i, 2], out)  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _pull(
+    t: Any, b: Any, n: Any, w: float, tangential: float, y0: float, y1: float, y2: float, out: Any
+) -> None:
+    along = w * (n[0] * y0 + n[1] * y1 + n[2] * y2)
+    share = w * tangential
+    for corner in range(3):
+        o = out[t[corner]]
+        o[0] += b[corner] * (along * n[0] + share * y0)
+        o[1] += b[corner] * (along * n[1] + share * y1)
+        o[2] += b[corner] * (along * n[2] + share * y2)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def plane_blocks(
+    triangle: Any, barycentric: Any, normal: Any, weight: Any, tangential: float, blocks: Any
+) -> None:
+    """Add each vertex's own 3 x 3 block of :func:`plane_product` to blocks (V, 3, 3)."""
+    for i in range(triangle.shape[0]):
+        n = normal[i]
+        for corner in range(3):
+            b = barycentric[i, corner]
+            w, block = weight[i] * b * b, blocks[triangle[i, corner]]
+            for p in range(3):
+                for q in range(3):
+                    block[p, q] += w * n[p] * n[q]
+                block[p, p] += w * tangential

@@ -18,12 +18,14 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from synthgen.geometry.normals import face_cross, unit
+from synthgen.registration.body_kernels import plane_blocks, plane_product, plane_pull
+from synthgen.registration.body_surface import BodySurface
 from synthgen.registration.scan import Scan
 from synthgen.registration.surface import Found, Placed, Surface
 from synthgen.registration.terms import GemanMcClure, Pairs, Term, closest
 
 Array = NDArray[np.float64]
-DIRECT_VERTICES = 4000
+MOST_STEPS, ENOUGH = 400, 1e-3
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class CoupledSettings:
         Of correspondences, as in :class:`synthgen.registration.schedule.Stage`.
     tangential : float
         Share of the point-to-point distance.
+    follow : bool
+        Whether the parameters are drawn after the free mesh (needs the whole Jacobian).
     """
 
     points: int = 25_000
@@ -51,6 +55,11 @@ class CoupledSettings:
     cut_m: float = 4e-3
     cosine: float = 0.5
     tangential: float = 0.02
+    follow: bool = True
+
+
+HAND = CoupledSettings()
+BODY = CoupledSettings(points=40_000, edge_sd_m=2e-3, sigma_m=2e-3, cut_m=10e-3, follow=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +119,21 @@ def couple(
     x: Array,
     priors: Sequence[Term],
     noise_m: float,
-    settings: CoupledSettings = CoupledSettings(),
+    settings: CoupledSettings | None = None,
 ) -> Coupled:
-    """Free the mesh from the model, starting at a good fit x."""
+    """Free the mesh from the model, starting at a good fit x; settings: None for the usual ones."""
+    if settings is None:
+        settings = BODY if isinstance(surface, BodySurface) else HAND
     coupling = edge_coupling(surface, settings.edge_sd_m)
     placed = surface.at(x)
     free = placed.vertices.copy()
     for _ in range(settings.rounds):
         pairs = _match(surface, free, scan, settings)
-        free = _solve(free, placed.vertices, pairs, scan, coupling, noise_m, settings)
-        placed = _follow(placed, free, coupling, priors)
+        planes = _planes(placed.vertices, pairs, scan, noise_m, settings)
+        solve = _relaxed if isinstance(surface, BodySurface) else _solved
+        free = placed.vertices + solve(free - placed.vertices, planes, coupling, settings)
+        if settings.follow:
+            placed = _follow(placed, free, coupling, priors)
     return Coupled(free, placed.x)
 
 
@@ -141,44 +155,86 @@ def _match(surface: Surface, free: Array, scan: Scan, settings: CoupledSettings)
                    cosine=settings.cosine)  # fmt: skip
 
 
-def _solve(
-    free: Array,
-    model: Array,
-    pairs: Pairs,
-    scan: Scan,
-    coupling: EdgeCoupling,
-    noise_m: float,
-    settings: CoupledSettings,
-) -> Array:
-    """Minimise over offsets from the model: data + edges + loose tie."""
-    v = len(free)
+@dataclass(frozen=True, eq=False)
+class _Planes:
+    """Where points pull: triangles (m, 3), barycentrics, normals (m, 3), weights (m,), targets.
+
+    ``target`` (m, 3) is the offset from the model that would bring the surface to the point.
+    """
+
+    triangle: NDArray[np.int64]
+    barycentric: Array
+    normal: Array
+    weight: Array
+    target: Array
+
+
+def _planes(
+    model: Array, pairs: Pairs, scan: Scan, noise_m: float, settings: CoupledSettings
+) -> _Planes:
     w = GemanMcClure(settings.sigma_m).weight(pairs.squared, pairs.kept) / noise_m**2
     used = np.flatnonzero(w)
     t, b, w = pairs.triangle[used], pairs.barycentric[used], w[used]
     target = scan.points[used] - np.einsum("mk,mka->ma", b, model[t]) - pairs.shift[used]
-    n = pairs.normal[used]
-    rows = np.repeat(np.arange(len(used)), 9)
+    return _Planes(t, b, pairs.normal[used], w, target)
+
+
+def _solved(
+    guess: Array, planes: _Planes, coupling: EdgeCoupling, settings: CoupledSettings
+) -> Array:
+    """Minimise data + edges + loose tie over offsets from the model, directly (hands)."""
+    v, t, b, w, n = len(guess), planes.triangle, planes.barycentric, planes.weight, planes.normal
+    rows = np.repeat(np.arange(len(w)), 9)
     columns = (3 * t[:, :, None] + np.arange(3)).ravel()
     values = (b[:, :, None] * n[:, None, :]).ravel()
-    A = sparse.csr_matrix((values, (rows, columns)), (len(used), 3 * v))
-    B = sparse.csr_matrix((b.ravel(), (np.repeat(np.arange(len(used)), 3), t.ravel())),
-                          (len(used), v))  # fmt: skip
+    A = sparse.csr_matrix((values, (rows, columns)), (len(w), 3 * v))
+    B = sparse.csr_matrix((b.ravel(), (np.repeat(np.arange(len(w)), 3), t.ravel())), (len(w), v))
     tie = coupling.laplacian / coupling.sd_m**2 + sparse.eye(v) / settings.offset_sd_m**2
     tie = tie + settings.tangential * (B.T @ sparse.diags(w) @ B)
     K = sparse.csc_matrix(A.T @ sparse.diags(w) @ A + sparse.kron(tie, sparse.eye(3)))
-    right = A.T @ (w * np.sum(target * n, axis=1))
-    right += settings.tangential * (B.T @ (w[:, None] * target)).ravel()
-    offset = _solution(K, right, (free - model).ravel())
-    return model + offset.reshape(-1, 3)
+    right = A.T @ (w * np.sum(planes.target * n, axis=1))
+    right += settings.tangential * (B.T @ (w[:, None] * planes.target)).ravel()
+    factor = linalg.splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return np.asarray(factor.solve(right)).reshape(-1, 3)
 
 
-def _solution(K: sparse.csc_matrix, right: Array, guess: Array) -> Array:
-    """Direct for hands, Jacobi-preconditioned conjugate gradients for bodies."""
-    if len(right) <= 3 * DIRECT_VERTICES * 2:
-        factor = linalg.splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        return np.asarray(factor.solve(right))
-    inverse = sparse.diags(1 / K.diagonal())
-    return np.asarray(linalg.cg(K, right, x0=guess, rtol=1e-3, maxiter=400, M=inverse)[0])
+def _relaxed(
+    guess: Array, planes: _Planes, coupling: EdgeCoupling, settings: CoupledSettings
+) -> Array:
+    """Minimise the same by conjugate gradients, no matrix made, from a guess (bodies).
+
+    The preconditioner is the inverse of each vertex's own 3 x 3 block.
+    """
+    p, share = planes, settings.tangential
+    tie = (coupling.laplacian / coupling.sd_m**2
+           + sparse.eye(len(guess)) / settings.offset_sd_m**2).tocsr()  # fmt: skip
+    blocks = tie.diagonal()[:, None, None] * np.eye(3)
+    plane_blocks(p.triangle, p.barycentric, p.normal, p.weight, share, blocks)
+    inverse = np.linalg.inv(blocks)
+    right = np.zeros_like(guess)
+    plane_pull(p.triangle, p.barycentric, p.normal, p.weight, share, p.target, right)
+
+    def product(offset: Array) -> Array:
+        out: Array = tie @ offset
+        plane_product(p.triangle, p.barycentric, p.normal, p.weight, share, offset, out)
+        return out
+
+    x = guess.copy()
+    rest = right - product(x)
+    z = np.einsum("vab,vb->va", inverse, rest)
+    step, gain = z.copy(), float(np.sum(rest * z))
+    enough = ENOUGH**2 * float(np.sum(right * np.einsum("vab,vb->va", inverse, right)))
+    for _ in range(MOST_STEPS):
+        if gain <= enough:
+            break
+        turned = product(step)
+        length = gain / float(np.sum(step * turned))
+        x += length * step
+        rest -= length * turned
+        z = np.einsum("vab,vb->va", inverse, rest)
+        before, gain = gain, float(np.sum(rest * z))
+        step = z + gain / before * step
+    return x
 
 
 def _follow(placed: Placed, free: Array, coupling: EdgeCoupling, priors: Sequence[Term]) -> Placed:

@@ -7,7 +7,9 @@ import numpy as np
 from synthgen.registration import fit
 from synthgen.registration.coupled import edge_coupling
 from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
-from tests.registration.hands import model, perturbed, rng, surface, truth
+from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
+from tests.registration import bodies
+from tests.registration.hands import model, perturbed, rng, scan, surface, truth
 
 
 def test_properties_free_mesh_halves_the_surface_error() -> None:
@@ -44,6 +46,40 @@ def test_reference_model_equations_are_the_gradient() -> None:
         step[k] = h
         slope = (cost(x + step) - cost(x - step)) / (2 * h)
         np.testing.assert_allclose(2 * gradient[k], slope, rtol=1e-4, atol=1e-3)
+
+
+def test_reference_relaxing_is_solving() -> None:
+    """The matrix-free conjugate gradients of bodies end where the direct solution of hands does."""
+    from synthgen.registration.coupled import HAND, _planes, _relaxed, _solved
+    from synthgen.registration.terms import closest
+
+    s, own = surface(), scan()
+    placed = s.at(truth())
+    pairs = closest(placed, own.points[:4000], own.normals[:4000], cut_m=4e-3, cosine=0.5)
+    planes = _planes(placed.vertices, pairs, own, 2e-4, HAND)
+    coupling, none = edge_coupling(s, HAND.edge_sd_m), np.zeros((s.n_vertices, 3))
+    direct = _solved(none, planes, coupling, HAND)
+    np.testing.assert_allclose(_relaxed(none, planes, coupling, HAND), direct, atol=2e-5)
+    assert np.abs(direct).max() > 1e-4
+
+
+def test_properties_free_body_takes_on_shapes_that_the_model_lacks() -> None:
+    """Betas beyond the sixteenth, of a body of the same mesh."""
+    import igl
+
+    other, body = bodies.surface("cc0-supr"), bodies.surface()
+    shape, pose, translation = other.unpack(bodies.truth(0, "cc0-supr"))
+    vertices = other.at(other.pack(shape, pose, translation)).vertices
+    settings = BodyScanSettings(points=60_000)
+    found = simulate_body_scan(body.model, vertices, settings, rng=rng("unmodelled"))
+    fitted = fit(found.points, found.normals, body.model, coupled=True)
+    assert fitted.free_vertices is not None, fitted.reason
+
+    def off(mesh: np.ndarray) -> float:
+        return float(np.sqrt(igl.point_mesh_squared_distance(vertices, mesh, body.faces)[0]).mean())
+
+    assert off(fitted.free_vertices) < 0.6 * off(fitted.vertices)
+    assert off(fitted.free_vertices) < 6e-4
 
 
 def test_properties_translation_costs_no_edge() -> None:
