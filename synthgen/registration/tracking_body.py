@@ -49,8 +49,9 @@ STAGES = (
 # Hands are scanned worse than the rest: smoothed, they would make the subject's hands thin. The
 # shape is that of the points farther from them.
 SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
-# Zero-velocity prior: standard deviation of an angle from frame to frame.
-STEP_RAD = np.deg2rad(2.0)
+# Zero-velocity prior: standard deviation of an angle from frame to frame; times as much for a hand
+# that was begun afresh.
+STEP_RAD, AFRESH = np.deg2rad(2.0), 20.0
 # A hand with less than this share of its points is not there.
 PRESENT = 0.4
 
@@ -195,14 +196,12 @@ class _Run:
 
     def _velocity(self) -> Term:
         """Zero-velocity term (Eq. 21) of the joints and the hands; the root is free."""
-        s, joints = self.body.surface, self.body.priors.joints
-        where, sd = [joints], [np.full(len(joints), STEP_RAD)]
+        s = self.body.surface
+        sd = np.full(s.n, STEP_RAD)
         for side in self.seen:
-            if side not in self.afresh:
-                where.append(np.r_[s.hands[side]])
-                sd.append(np.full(45, STEP_RAD * (1 + self.unseen[side])))
-        ids = np.concatenate(where)
-        return GaussianPrior(ids, self.previous[ids], np.concatenate(sd))
+            sd[self.body.hand(side)] *= AFRESH if side in self.afresh else 1 + self.unseen[side]
+        ids = np.concatenate([self.body.priors.joints, *(np.r_[s.hands[k]] for k in self.seen)])
+        return GaussianPrior(ids, self.previous[ids], sd[ids])
 
     def begun_afresh(self, placed: BodyPlaced, sides: Sequence[str]) -> BodyPlaced:
         """Try typical poses for hands that fit badly; the frame before no longer binds them."""
