@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.errors import ShapeError
+from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel
+from synthgen.models.joints import SIDES
 from synthgen.registration import body_schedule as schedule
 from synthgen.registration.body_prior import BodyPriors, body_priors
 from synthgen.registration.body_search import BodySearch
@@ -91,9 +92,19 @@ def fit_body(
 
 
 def body_surface(model: BodyModel) -> BodySurface:
-    """Return the surface of a body, made once per process."""
+    """Return the surface of a body, made once per process.
+
+    Raises
+    ------
+    ModelError
+        If the model is no whole body with fingers, of SMPL+H or SUPR form.
+    """
     surface = surface_of(model)
-    assert isinstance(surface, BodySurface)
+    if not isinstance(surface, BodySurface) or set(surface.hands) != set(SIDES):
+        raise ModelError(
+            f"model {model.name!r} is no whole body with two hands; the fitter takes hands and "
+            "whole bodies, such as cc0-hand, cc0-body and cc0-supr"
+        )
     return surface
 
 

@@ -34,8 +34,8 @@ HAND_LIMIT_M, HAND_UNEXPLAINED = 4e-3, 0.02
 # Where the shape lies outside the model, residuals are no longer like noise.
 MISFIT, MISFIT_UNEXPLAINED = 1.3, 0.15
 # With less of a hand than this, what is left explains itself in more than one way.
-HAND_COVERED = 0.6
-FAR, NOISE_M, SHAPE_SD, SD95_M, SD_PER_NOISE = 0.2, 4e-3, 4.0, 4e-3, 4.0
+HAND_COVERED = 0.65
+FAR, NOISE_M, SHAPE_SD, SD95_M, SD_PER_NOISE = 0.2, 4e-3, 4.0, 3e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)

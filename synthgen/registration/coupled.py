@@ -193,7 +193,7 @@ def _solved(
     tie = tie + settings.tangential * (B.T @ sparse.diags(w) @ B)
     K = sparse.csc_matrix(A.T @ sparse.diags(w) @ A + sparse.kron(tie, sparse.eye(3)))
     right = A.T @ (w * np.sum(planes.target * n, axis=1))
-    right += settings.tangential * (B.T @ (w[:, None] * planes.target)).ravel()
+    right += settings.tangential * np.asarray(B.T @ (w[:, None] * planes.target)).ravel()
     factor = linalg.splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     return np.asarray(factor.solve(right)).reshape(-1, 3)
 
@@ -215,7 +215,7 @@ def _relaxed(
     plane_pull(p.triangle, p.barycentric, p.normal, p.weight, share, p.target, right)
 
     def product(offset: Array) -> Array:
-        out: Array = tie @ offset
+        out = np.asarray(tie @ offset)
         plane_product(p.triangle, p.barycentric, p.normal, p.weight, share, offset, out)
         return out
 
