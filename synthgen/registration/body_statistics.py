@@ -35,7 +35,9 @@ HAND_LIMIT_M, HAND_UNEXPLAINED = 4e-3, 0.02
 MISFIT, MISFIT_UNEXPLAINED = 1.3, 0.15
 # With less of a hand than this, what is left explains itself in more than one way.
 HAND_COVERED = 0.65
-FAR, NOISE_M, SHAPE_SD, SD95_M, SD_PER_NOISE = 0.2, 4e-3, 4.0, 3e-3, 3.0
+FAR, NOISE_M, SHAPE_SD = 0.2, 4e-3, 4.0
+# Heads have inner parts that nobody sees: mouth, eyes.
+SD95_M, HAND_SD95_M, SD_PER_NOISE = 4e-3, 3e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +206,12 @@ def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
         return Judgement("fail", "part_missed", bad)
     if np.abs(shape).max() > SHAPE_SD:
         return Judgement("fail", "shape_limit")
-    limit = max(SD95_M, SD_PER_NOISE * s.noise_m)
-    bare = [
-        ("hand" in part) and c < HAND_COVERED for part, c in zip(PARTS, s.coverage, strict=True)
-    ]
-    hidden = tuple(part for part, sd, b in zip(PARTS, s.sd95_m, bare, strict=True)
-                   if sd > limit or b)  # fmt: skip
+    hidden = tuple(part for k, part in enumerate(PARTS) if _is_hidden(s, k))
     return Judgement("unobserved", "hole", hidden) if hidden else Judgement("pass")
+
+
+def _is_hidden(s: BodyStatistics, part: int) -> bool:
+    """Tell whether the scan does not determine a part."""
+    hand = "hand" in PARTS[part]
+    limit = max(HAND_SD95_M if hand else SD95_M, SD_PER_NOISE * s.noise_m)
+    return bool(s.sd95_m[part] > limit or (hand and s.coverage[part] < HAND_COVERED))
