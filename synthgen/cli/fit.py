@@ -130,8 +130,8 @@ def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> di
         _write_mesh(out / f"{name}_free.ply", found.free_vertices, found.model.faces)
         surface = found.free_vertices
     title = f"{name}: {found.verdict} {found.reason} {found.hand or ''}"
-    save_overlay(out / f"{name}.png",
-                 draw_overlay(scan.points, surface, found.model.faces, title))  # fmt: skip
+    picture = draw_overlay(scan.points, surface, found.model.faces, title, _hands(found))
+    save_overlay(out / f"{name}.png", picture)
     report = {
         "scan": str(path), "units": scan.units, "units_note": scan.note, **found.report,
         "hand": found.hand, "shape": found.shape.tolist(), "pose": found.pose.tolist(),
@@ -141,6 +141,17 @@ def _write(out: Path, name: str, path: Path, scan: StoredScan, found: Fit) -> di
         report["expression"] = found.expression.tolist()
     (out / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return report
+
+
+def _hands(found: Fit) -> list[Any]:
+    """Return the vertices of a body's hands, to be drawn closely."""
+    from synthgen.models.joints import SIDES
+    from synthgen.registration.body_fit import body_surface
+    from synthgen.registration.body_schedule import hand_vertices
+
+    if found.hand is not None or found.report.get("statistics") is None:
+        return []
+    return [hand_vertices(body_surface(found.model), side) for side in SIDES]
 
 
 def _write_mesh(path: Path, vertices: Any, faces: Any) -> None:

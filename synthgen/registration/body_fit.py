@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.errors import ShapeError
+from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel
+from synthgen.models.joints import SIDES
 from synthgen.registration import body_schedule as schedule
 from synthgen.registration.body_prior import BodyPriors, body_priors
 from synthgen.registration.body_search import BodySearch
 from synthgen.registration.body_start import spread_yaws, yaws
 from synthgen.registration.body_statistics import BodyStatistics, body_statistics, judge_body
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.coupled import BODY as BODY_COUPLING
+from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import BODY, Finding, inspect
 from synthgen.registration.scan import Scan, checked_points, scan_of
@@ -29,6 +32,8 @@ from synthgen.registration.verdict import Judgement
 Array = NDArray[np.float64]
 # Estimating normals costs more than the fit; fewer points would be coarser than fingers.
 ESTIMATED = 150_000
+# Of the coupled stage: what lies between the scan and the model is misfit too, not only noise.
+NOISE_M = (2e-4, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +87,25 @@ def fit_body(
     began = time.process_time()
     search = BodySearch(priors, scan, extra)
     chosen, kind = _searched(search, begin)
-    return _result(search, chosen, kind, dropped, time.process_time() - began)
+    free = _freed(search, chosen) if coupled and chosen.judgement.verdict != "fail" else None
+    found = _result(search, chosen, kind, dropped, time.process_time() - began)
+    return replace(found, free_vertices=free)
 
 
 def body_surface(model: BodyModel) -> BodySurface:
-    """Return the surface of a body, made once per process."""
+    """Return the surface of a body, made once per process.
+
+    Raises
+    ------
+    ModelError
+        If the model is no whole body with fingers, of SMPL+H or SUPR form.
+    """
     surface = surface_of(model)
-    assert isinstance(surface, BodySurface)
+    if not isinstance(surface, BodySurface) or set(surface.hands) != set(SIDES):
+        raise ModelError(
+            f"model {model.name!r} is no whole body with two hands; the fitter takes hands and "
+            "whole bodies, such as cc0-hand, cc0-body and cc0-supr"
+        )
     return surface
 
 
@@ -206,6 +223,15 @@ def information(
     hessian, _ = energy.normal_equations(energy.at(placed.x))
     basis = schedule.basis_of(priors, stage)
     return basis.T @ hessian @ basis, basis
+
+
+def _freed(search: BodySearch, chosen: BodyCandidate) -> Array:
+    """Return the mesh (V, 3) of the coupled stage."""
+    began = time.process_time()
+    noise = float(np.clip(chosen.statistics.noise_m, *NOISE_M))
+    free = couple(search.surface, search.scan, chosen.placed.x, (), noise, BODY_COUPLING).vertices
+    search.seconds["coupled"] = time.process_time() - began
+    return free
 
 
 def _refused(priors: BodyPriors, problem: Finding, dropped: int) -> Fit:

@@ -64,7 +64,6 @@ NEAR = BodyStage(3000, 10, 6 * MM, 25 * MM, 0.4, 2 * MM, 3000, 0.02, 0.1, 25 * M
                  hand_points=600, looked=500, free="pca")  # fmt: skip
 FINE = BodyStage(6000, 10, 3 * MM, 12 * MM, 0.5, 1 * MM, 6000, hand_points=1500, free="pca")
 LAST = replace(FINE, iterations=6, free="all")
-HAND = BodyStage(0, 8, 12 * MM, 60 * MM, 0.2, 3 * MM, 400, 0.1, hand_points=450)
 
 
 def basis_of(priors: BodyPriors, stage: BodyStage) -> Array:

@@ -31,9 +31,13 @@ SD_HANDS, SD_OTHERS = 3, 8
 # skin, with any normal, but no farther; one wrong finger of ten has 3 % of a hand's points.
 LIMIT_M, UNEXPLAINED, EXPLAINED = 2e-3, 0.05, 0.93
 HAND_LIMIT_M, HAND_UNEXPLAINED = 4e-3, 0.02
+# Where the shape lies outside the model, residuals are no longer like noise.
+MISFIT, MISFIT_UNEXPLAINED = 1.3, 0.15
 # With less of a hand than this, what is left explains itself in more than one way.
-HAND_COVERED = 0.6
-FAR, NOISE_M, SHAPE_SD, SD95_M, SD_PER_NOISE = 0.2, 4e-3, 4.0, 4e-3, 4.0
+HAND_COVERED = 0.65
+FAR, NOISE_M, SHAPE_SD = 0.2, 4e-3, 4.0
+# Heads have inner parts that nobody sees: mouth, eyes.
+SD95_M, HAND_SD95_M, SD_PER_NOISE = 4e-3, 3e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +53,8 @@ class BodyStatistics:
         Share of all points farther than that.
     noise_m : float
         Standard deviation of the points about the skin.
+    local_noise_m : float
+        Their own scatter, about local planes: less than ``noise_m`` where the model misfits.
     points : (10,) int
         Points looked at, by part; more than their share for hands.
     unexplained, p95_m, coverage, sd95_m : (10,)
@@ -62,6 +68,7 @@ class BodyStatistics:
     far: float
     limit_m: float
     noise_m: float
+    local_noise_m: float
     points: NDArray[np.int64]
     unexplained: Array
     p95_m: Array
@@ -86,6 +93,7 @@ class BodyStatistics:
             "far_share": self.far,
             "limit_mm": 1e3 * self.limit_m,
             "noise_mm": 1e3 * self.noise_m,
+            "local_noise_mm": 1e3 * self.local_noise_m,
             "predicted_vertex_sd_mm": {
                 "median": 1e3 * float(np.median(self.sd_m)),
                 "p95": 1e3 * float(np.quantile(self.sd_m, 0.95)),
@@ -137,6 +145,7 @@ def body_statistics(placed: BodyPlaced, scan: Scan, hessian: Array, basis: Array
         far=float((~near)[uniform].mean()),
         limit_m=limit,
         noise_m=noise,
+        local_noise_m=scan.local_noise_m,
         points=np.bincount(part[near], minlength=len(PARTS)),
         unexplained=unexplained,
         p95_m=p95,
@@ -182,7 +191,9 @@ def _sampled(surface: BodySurface) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
     """Judge one finished fit."""
-    limits = np.array([HAND_UNEXPLAINED if "hand" in part else UNEXPLAINED for part in PARTS])
+    misfit = s.noise_m > MISFIT * max(s.local_noise_m, LIMIT_M / 4)
+    others = MISFIT_UNEXPLAINED if misfit else UNEXPLAINED
+    limits = np.array([HAND_UNEXPLAINED if "hand" in part else others for part in PARTS])
     bad = tuple(part for part, u, limit in zip(PARTS, s.unexplained, limits, strict=True)
                 if u > limit)  # fmt: skip
     if s.far > FAR:
@@ -195,10 +206,12 @@ def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
         return Judgement("fail", "part_missed", bad)
     if np.abs(shape).max() > SHAPE_SD:
         return Judgement("fail", "shape_limit")
-    limit = max(SD95_M, SD_PER_NOISE * s.noise_m)
-    bare = [
-        ("hand" in part) and c < HAND_COVERED for part, c in zip(PARTS, s.coverage, strict=True)
-    ]
-    hidden = tuple(part for part, sd, b in zip(PARTS, s.sd95_m, bare, strict=True)
-                   if sd > limit or b)  # fmt: skip
+    hidden = tuple(part for k, part in enumerate(PARTS) if _is_hidden(s, k))
     return Judgement("unobserved", "hole", hidden) if hidden else Judgement("pass")
+
+
+def _is_hidden(s: BodyStatistics, part: int) -> bool:
+    """Tell whether the scan does not determine a part."""
+    hand = "hand" in PARTS[part]
+    limit = max(HAND_SD95_M if hand else SD95_M, SD_PER_NOISE * s.noise_m)
+    return bool(s.sd95_m[part] > limit or (hand and s.coverage[part] < HAND_COVERED))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,17 +35,22 @@ class _Look:
 SIZE = 320
 HAND = _Look(SIZE, 1e-3, 3e-3, 0.004, 0.8, 6000)
 BODY = _Look(480, 3e-3, 12e-3, 0.010, 4.0, 20_000)
-BODY_RADIUS_M = 0.35
+CLOSE = _Look(480, 3e-3, 6e-3, 0.006, 0.8, 6000)
+BODY_RADIUS_M, CLOSE_MARGIN_M = 0.35, 0.03
 MOST_POINTS = 20_000
 
 
 def draw_overlay(
-    points: NDArray[Any], vertices: NDArray[Any], faces: NDArray[Any], title: str = ""
+    points: NDArray[Any],
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    title: str = "",
+    close: Sequence[NDArray[np.int64]] = (),
 ) -> Picture:
     """Draw three columns (scan; scan over model; distance) from three sides.
 
     Distances run from green (0) over yellow to red (1 mm and more); skin farther than 3 mm from
-    every scan point is grey: not seen. Bodies: 3 mm and 12 mm, upright.
+    every scan point is grey: not seen. Bodies: 3 mm and 12 mm, upright; a row for each close-up.
 
     Parameters
     ----------
@@ -52,23 +58,40 @@ def draw_overlay(
     vertices : (V, 3) float, metres
     faces : (F, 3) int
     title : str
+    close : sequence of (m,) int
+        Vertices to look at closely, such as a body's hands.
 
     Returns
     -------
     (H, W, 3) uint8, sRGB
     """
+    scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
+    scan = scan[np.isfinite(scan).all(axis=1)]
+    rows = _rows(scan, mesh, faces, BODY if _radius(mesh) > BODY_RADIUS_M else HAND)
+    for ids in close:
+        own = np.isin(faces, ids).all(axis=1)
+        used, inner = np.unique(faces[own], return_inverse=True)
+        part = mesh[used]
+        low, high = part.min(axis=0) - CLOSE_MARGIN_M, part.max(axis=0) + CLOSE_MARGIN_M
+        near = scan[((scan > low) & (scan < high)).all(axis=1)]
+        rows += _rows(near, part, inner.reshape(-1, 3), CLOSE)[:1]
+    return _titled(np.vstack(rows), title)
+
+
+def _radius(mesh: Array) -> float:
+    middle = (mesh.min(axis=0) + mesh.max(axis=0)) / 2
+    return float(np.linalg.norm(mesh - middle, axis=1).max())
+
+
+def _rows(scan: Array, mesh: Array, faces: NDArray[Any], look: _Look) -> list[Picture]:
     from scipy.spatial import cKDTree
 
-    scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
-    scan = _spread(scan[np.isfinite(scan).all(axis=1)], MOST_POINTS)
-    radius = float(np.linalg.norm(mesh - (mesh.min(axis=0) + mesh.max(axis=0)) / 2, axis=1).max())
-    look = BODY if radius > BODY_RADIUS_M else HAND
-    distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
+    scan = _spread(scan, MOST_POINTS)
     plane = _plane_distance(scan, mesh, faces, look.unseen_m)
+    distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
     colours = error_colours(np.where(distance < look.unseen_m, plane, np.inf), look.worst_m)
-    cameras = _cameras(mesh, radius, look)
-    rows = [np.hstack(_row(scan, mesh, faces, colours, camera, look)) for camera in cameras]
-    return _titled(np.vstack(rows), title)
+    cameras = _cameras(mesh, _radius(mesh), look)
+    return [np.hstack(_row(scan, mesh, faces, colours, camera, look)) for camera in cameras]
 
 
 def save_overlay(path: Path, picture: Picture) -> None:

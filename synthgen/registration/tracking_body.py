@@ -28,6 +28,7 @@ from synthgen.registration.body_schedule import (
 )
 from synthgen.registration.body_search import BodySearch
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.coupled import BODY as BODY_COUPLING
 from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import BODY, LEAST_POINTS, Finding, inspect
@@ -49,8 +50,9 @@ STAGES = (
 # Hands are scanned worse than the rest: smoothed, they would make the subject's hands thin. The
 # shape is that of the points farther from them.
 SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
-# Zero-velocity prior: standard deviation of an angle from frame to frame.
-STEP_RAD = np.deg2rad(2.0)
+# Zero-velocity prior: standard deviation of an angle from frame to frame; times as much for a hand
+# that was begun afresh.
+STEP_RAD, AFRESH = np.deg2rad(2.0), 20.0
 # A hand with less than this share of its points is not there.
 PRESENT = 0.4
 
@@ -98,7 +100,7 @@ class BodyFollower:
     def freed(self, x: Array, scan: Scan) -> Array:
         """Free the mesh from the model."""
         noise = max(scan.local_noise_m, 1e-4)
-        return couple(self.surface, scan, x, self.priors.terms(), noise).vertices
+        return couple(self.surface, scan, x, self.priors.terms(), noise, BODY_COUPLING).vertices
 
     def hand(self, side: str) -> Ids:
         """Parameters of a hand: fingers and wrist."""
@@ -123,7 +125,7 @@ class BodyFollower:
             missed = found.better(state, missed)
             if missed:
                 placed, state = other, found
-        gone = {s: 0 if state.present[s] >= PRESENT else unseen[s] + 1 for s in SIDES}
+        gone = {side: 0 if side in run.seen else unseen[side] + 1 for side in SIDES}
         report = {**state.to_json(), "begun_afresh": list(missed), "steps": run.steps}
         return Frame(placed.x, state.judged(gone), gone, report)
 
@@ -195,14 +197,12 @@ class _Run:
 
     def _velocity(self) -> Term:
         """Zero-velocity term (Eq. 21) of the joints and the hands; the root is free."""
-        s, joints = self.body.surface, self.body.priors.joints
-        where, sd = [joints], [np.full(len(joints), STEP_RAD)]
+        s = self.body.surface
+        sd = np.full(s.n, STEP_RAD)
         for side in self.seen:
-            if side not in self.afresh:
-                where.append(np.r_[s.hands[side]])
-                sd.append(np.full(45, STEP_RAD * (1 + self.unseen[side])))
-        ids = np.concatenate(where)
-        return GaussianPrior(ids, self.previous[ids], np.concatenate(sd))
+            sd[self.body.hand(side)] *= AFRESH if side in self.afresh else 1 + self.unseen[side]
+        ids = np.concatenate([self.body.priors.joints, *(np.r_[s.hands[k]] for k in self.seen)])
+        return GaussianPrior(ids, self.previous[ids], sd[ids])
 
     def begun_afresh(self, placed: BodyPlaced, sides: Sequence[str]) -> BodyPlaced:
         """Try typical poses for hands that fit badly; the frame before no longer binds them."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from synthgen.errors import ShapeError
+from synthgen.errors import ModelError, ShapeError
+from synthgen.models import separate
 from synthgen.registration import REASONS, Fit, fit
 from synthgen.registration.body_fit import start_vector
 from synthgen.registration.body_statistics import PARTS, part_of_vertex
@@ -188,6 +189,12 @@ def test_edge_few_points_are_no_pass() -> None:
 def test_edge_options_of_hands_are_refused(given: dict[str, Any]) -> None:
     with pytest.raises(ShapeError, match="hand models"):
         fit(*scanned(), model(), **given)
+
+
+@pytest.mark.parametrize("part", ["left_foot", "left_hand", "head"])
+def test_edge_parts_of_bodies_are_refused(part: Any) -> None:
+    with pytest.raises(ModelError, match="no whole body"):
+        fit(*scanned(), separate(model("cc0-supr"), part).model)
 
 
 def test_edge_wrong_starts() -> None:

@@ -22,7 +22,8 @@ N = len(PARTS)
 
 def good() -> BodyStatistics:
     return BodyStatistics(
-        explained=0.998, far=0.01, limit_m=4e-3, noise_m=8e-4, points=np.full(N, 500),
+        explained=0.998, far=0.01, limit_m=4e-3, noise_m=8e-4, local_noise_m=8e-4,
+        points=np.full(N, 500),
         unexplained=np.full(N, 0.003), p95_m=np.full(N, 2e-3), coverage=np.full(N, 0.95),
         sd95_m=np.full(N, 8e-4), sd_m=np.full(10, 5e-4),
     )  # fmt: skip
@@ -39,6 +40,12 @@ def but(part: str, value: float, others: float) -> np.ndarray:
         ({"unexplained": but("left_hand", 0.05, 0.0)}, "fail", "part_missed(left_hand)"),
         ({"unexplained": but("left_leg", 0.04, 0.0)}, "pass", ""),
         ({"unexplained": but("left_leg", 0.08, 0.0)}, "fail", "part_missed(left_leg)"),
+        ({"unexplained": but("left_leg", 0.08, 0.0), "noise_m": 1.5e-3}, "pass", ""),
+        (
+            {"unexplained": but("left_leg", 0.2, 0.0), "noise_m": 1.5e-3},
+            "fail",
+            "part_missed(left_leg)",
+        ),
         ({"sd95_m": but("right_hand", 0.02, 1e-3)}, "unobserved", "hole(right_hand)"),
         ({"coverage": but("right_hand", 0.4, 0.9)}, "unobserved", "hole(right_hand)"),
         ({"coverage": but("head", 0.4, 0.9)}, "pass", ""),

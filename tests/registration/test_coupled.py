@@ -7,6 +7,8 @@ import numpy as np
 from synthgen.registration import fit
 from synthgen.registration.coupled import edge_coupling
 from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
+from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
+from tests.registration import bodies
 from tests.registration.hands import model, perturbed, rng, surface, truth
 
 
@@ -48,6 +50,25 @@ def test_reference_model_equations_are_the_gradient() -> None:
         step[k] = h
         slope = (cost(x + step) - cost(x - step)) / (2 * h)
         np.testing.assert_allclose(2 * gradient[k], slope, rtol=1e-4, atol=1e-3)
+
+
+def test_properties_free_body_takes_on_shapes_that_the_model_lacks() -> None:
+    """Betas beyond the sixteenth, of a body of the same mesh."""
+    import igl
+
+    other, body = bodies.surface("cc0-supr"), bodies.surface()
+    shape, pose, translation = other.unpack(bodies.truth(0, "cc0-supr"))
+    vertices = other.at(other.pack(shape, pose, translation)).vertices
+    settings = BodyScanSettings(points=60_000)
+    found = simulate_body_scan(body.model, vertices, settings, rng=rng("unmodelled"))
+    fitted = fit(found.points, found.normals, body.model, coupled=True)
+    assert fitted.free_vertices is not None, fitted.reason
+
+    def off(mesh: np.ndarray) -> float:
+        return float(np.sqrt(igl.point_mesh_squared_distance(vertices, mesh, body.faces)[0]).mean())
+
+    assert off(fitted.free_vertices) < 0.6 * off(fitted.vertices)
+    assert off(fitted.free_vertices) < 6e-4
 
 
 def test_properties_translation_costs_no_edge() -> None:
