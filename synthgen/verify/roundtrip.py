@@ -25,7 +25,7 @@ from synthgen.corpus.sample import Sample, Subject
 from synthgen.errors import ShapeError, SynthgenError
 from synthgen.geometry.rotations import matrix_from_axis_angle
 from synthgen.registration import Fit, fit
-from synthgen.registration.statistics import PARTS
+from synthgen.registration.statistics import LEAST_POINTS, PARTS, part_of_vertex
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import closest
 from synthgen.sampling.streams import stream
@@ -39,7 +39,9 @@ CURVED = 0.75  # what is drawn is smooth through the model's vertices
 FLOOR_SHARE, FLOOR_M = 0.3, 1e-4
 MISMATCH_FLOORS, MISMATCH_M, TRUTH_EXPLAINS = 5.0, 1e-3, 0.97
 AS_WELL, AS_WELL_M = 1.2, 5e-5
-EXPLAINED_M, FACING = 1.5e-3, -0.3
+# Of sound samples 0.99 of all points and 0.94 of every part's are explained, scanner's and
+# sensor's included; of a finger bent by 14 degrees at most 0.77.
+EXPLAINED_M, FACING, PART_EXPLAINS = 1.5e-3, -0.3, 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +196,8 @@ def judged(index: int, number: int, subject: Subject, stored: StoredPoints, foun
     """Compare a fit with the truth."""
     truth = subject.vertices.astype(np.float64)
     figures = compare(subject, stored, found)
-    explained = truth_explained(subject, stored)
-    figures["truth_explains"] = explained
+    explained, by_part = truth_explained(subject, stored)
+    figures["truth_explains"], figures["truth_explains_parts"] = explained, by_part
     limit = max(MISMATCH_FLOORS * figures["floor_mm"], 1e3 * MISMATCH_M)
     verdict: str = found.verdict
     reason = found.reason
@@ -209,9 +211,9 @@ def judged(index: int, number: int, subject: Subject, stored: StoredPoints, foun
             )
         else:
             verdict, reason = "truth_mismatch", f"the fit is good, {off}"
-    if explained < TRUTH_EXPLAINS and found.reason != "no_points":
-        verdict = "truth_mismatch"
-        reason = f"only {100 * explained:.0f} % of the stored points lie on the true surface"
+    against = _contradiction(explained, by_part)
+    if against and found.reason != "no_points":
+        verdict, reason = "truth_mismatch", against
     return HandTrip(index, number, verdict, reason, stored.source, figures, found, stored.points,
                     truth)  # fmt: skip
 
@@ -235,21 +237,39 @@ def _distances(x: Array, subject: Subject, points: Array, normals: Array) -> Arr
     return np.asarray(np.quantile(np.sqrt(pairs.squared[~pairs.rim]), [0.5, 0.95, 0.99]))
 
 
-def truth_explained(subject: Subject, stored: StoredPoints) -> float:
-    """Share of the points, less the sensor's error, within 1.5 mm of the true surface.
+def truth_explained(subject: Subject, stored: StoredPoints) -> tuple[float, dict[str, float]]:
+    """Share of the points, less the sensor's error, within 1.5 mm of the true surface; and by part.
 
     Of the points within 3 cm, since scans have clutter; 0 if the cloud is elsewhere. Normals must
-    not face the other way: across the creases of small pictures they are rough.
+    not face the other way: across the creases of small pictures they are rough. Parts near which
+    fewer than 60 points lie are left out.
     """
     if len(stored.points) == 0:
-        return 0.0
+        return 0.0, {}
     surface = surface_of(subject.loaded)
     placed = surface.at(surface.pack(subject.shape, subject.pose, subject.translation))
     pairs = closest(placed, stored.exact, stored.normals, cut_m=0.03, cosine=-2.0, curved=CURVED)
     alike = np.sum(pairs.normal * stored.normals, axis=1) > FACING
     good = (pairs.squared < EXPLAINED_M**2) & alike
     far = np.linalg.norm(stored.exact.mean(axis=0) - placed.vertices.mean(axis=0)) > 0.15
-    return 0.0 if far or not pairs.kept.any() else float(good[pairs.kept].mean())
+    if far or not pairs.kept.any():
+        return 0.0, {}
+    corner = pairs.triangle[np.arange(len(good)), pairs.barycentric.argmax(axis=1)]
+    part = np.where(pairs.kept, part_of_vertex(placed.surface.model)[corner], -1)
+    by_part = {name: float(good[part == k].mean()) for k, name in enumerate(PARTS)
+               if np.sum(part == k) >= LEAST_POINTS}  # fmt: skip
+    return float(good[pairs.kept].mean()), by_part
+
+
+def _contradiction(explained: float, by_part: dict[str, float]) -> str:
+    """Say where the stored points contradict the truth, "" where they do not."""
+    if explained < TRUTH_EXPLAINS:
+        return f"only {100 * explained:.0f} % of the stored points lie on the true surface"
+    worst = min(by_part, key=lambda name: by_part[name], default="")
+    if worst and by_part[worst] < PART_EXPLAINS:
+        share = 100 * by_part[worst]
+        return f"only {share:.0f} % of the points at the {worst} lie on the true surface"
+    return ""
 
 
 def compare(subject: Subject, stored: StoredPoints, found: Fit) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def test_smoke_what_is_fitted_is_what_the_sensor_says(tmp_path: Path) -> None:
     assert stored.source == "sensor depth"
     assert 0 < stored.bias_m < 0.02
     assert not np.allclose(stored.points, stored.exact, atol=1e-5)
-    assert truth_explained(sample.truth, stored) > 0.97
+    assert truth_explained(sample.truth, stored)[0] > 0.97
     report = verify(tmp_path / "c")
     assert report.ok
     assert 0 < report.worst["sensor depth"][0] < 0.02
