@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from synthgen.models import BodyModel
 from synthgen.registration.body_schedule import hand_crops, looked_at
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.correspondences import closest
 from synthgen.registration.scan import Scan, nearest
-from synthgen.registration.terms import closest
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]

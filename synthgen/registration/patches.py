@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.registration.correspondences import Pairs
 from synthgen.registration.surface import Placed
-from synthgen.registration.terms import Pairs
 
 Array = NDArray[np.float64]
 # Standard errors of a mean that noise does not reach; points that make a mean; patches of a share.

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from synthgen.models import BodyModel
 from synthgen.models.joints import FINGERS
+from synthgen.registration.correspondences import Pairs, closest
 from synthgen.registration.patches import patches_of
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed
-from synthgen.registration.terms import Pairs, closest
 
 Array = NDArray[np.float64]
 PARTS = ("palm", *FINGERS)

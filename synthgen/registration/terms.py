@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from synthgen.registration.free_mesh import walked_to
+from synthgen.registration.correspondences import Pairs, closest
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
@@ -60,70 +59,6 @@ class GemanMcClure:
         """Weight (m,) of iterated least squares, d rho / d(d^2); 0 where not kept."""
         s2 = self.sigma_m**2
         return np.where(kept, (s2 / (s2 + squared)) ** 2, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """Scan points and their closest points on the mesh.
-
-    Attributes
-    ----------
-    triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
-        The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
-        triangle to the curved surface.
-    squared : (m,) metres^2
-    kept : (m,) bool, near enough, facing alike, not off the rim
-    rim : (m,) bool, closest point on an open boundary
-    """
-
-    triangle: NDArray[np.int64]
-    barycentric: Array
-    shift: Array
-    normal: Array
-    squared: Array
-    kept: NDArray[np.bool_]
-    rim: NDArray[np.bool_]
-
-    @property
-    def corner(self) -> NDArray[np.int64]:
-        """Vertex (m,) nearest to each closest point within its triangle."""
-        rows = np.arange(len(self.triangle))
-        return np.asarray(self.triangle[rows, self.barycentric.argmax(axis=1)])
-
-
-def closest(
-    placed: Placed,
-    points: Array,
-    normals: Array,
-    *,
-    cut_m: float,
-    cosine: float,
-    curved: float = 0.0,
-    neighbours: int = 1,
-    start: NDArray[np.int64] | None = None,
-) -> Pairs:
-    """Closest points on the mesh, with interpolated (Phong) normals.
-
-    ``start`` (m,) are vertices near the closest points, where they are known: a walk from there is
-    much cheaper than a search.
-
-    ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
-    0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
-    skin is.
-    """
-    s = placed.surface
-    if start is None:
-        squared, face, point = placed.nearest(points, neighbours)
-    else:
-        squared, face, point = walked_to(s, placed.vertices, points, start)
-    triangle = s.faces[face]
-    barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
-    agree, shift = np.empty(len(points)), np.empty((len(points), 3))
-    rim = np.empty(len(points), dtype=np.bool_)
-    _attributes(placed.vertices, placed.normals, triangle, point, normals,
-                s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
-    kept = (squared < cut_m**2) & (agree > cosine) & ~rim
-    return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,57 +280,3 @@ class KeypointTerm:
         residual = ((placed.joints[self.joints] - self.keypoints) / self.sd_m).ravel()
         rows = placed.joint_jacobian[self.joints].reshape(-1, placed.surface.n) / self.sd_m
         return [Block(residual, rows, np.ones(len(residual)))]
-
-
-@njit(cache=True, error_model="numpy", fastmath=True)
-def _attributes(
-    vertices: Any, vertex_normals: Any, triangle: Any, point: Any, scan_normals: Any, rim: Any,
-    curved: float, scan: Any, barycentric: Any, shift: Any, squared: Any, normal: Any, agree: Any,
-    on_rim: Any,
-) -> None:  # fmt: skip
-    """Barycentrics of points on triangles, Phong normals, cosines, and whether on an open edge."""
-    for i in range(len(triangle)):
-        a, b, c = triangle[i, 0], triangle[i, 1], triangle[i, 2]
-        uu, uv, vv, wu, wv = 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(3):
-            u, v = vertices[b, k] - vertices[a, k], vertices[c, k] - vertices[a, k]
-            w = point[i, k] - vertices[a, k]
-            uu, uv, vv, wu, wv = uu + u * u, uv + u * v, vv + v * v, wu + w * u, wv + w * v
-        area = max(uu * vv - uv * uv, 1e-30)
-        x, y = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
-        z = 1.0 - x - y
-        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = z, x, y
-        total, cosine = 0.0, 0.0
-        for k in range(3):
-            n = z * vertex_normals[a, k] + x * vertex_normals[b, k] + y * vertex_normals[c, k]
-            normal[i, k] = n
-            total += n * n
-            cosine += n * scan_normals[i, k]
-        length = max(np.sqrt(total), 1e-12)
-        for k in range(3):
-            normal[i, k] /= length
-        agree[i] = cosine / length
-        if curved > 0.0:
-            moved_x, moved_y, moved_z = 0.0, 0.0, 0.0
-            for corner in range(3):
-                v, share = triangle[i, corner], barycentric[i, corner]
-                above = 0.0
-                for k in range(3):
-                    above += (vertices[v, k] - point[i, k]) * vertex_normals[v, k]
-                moved_x += share * above * vertex_normals[v, 0]
-                moved_y += share * above * vertex_normals[v, 1]
-                moved_z += share * above * vertex_normals[v, 2]
-            shift[i, 0], shift[i, 1], shift[i, 2] = moved_x, moved_y, moved_z
-            total = 0.0
-            for k in range(3):
-                shift[i, k] *= curved
-                off = point[i, k] + shift[i, k] - scan[i, k]
-                total += off * off
-            squared[i] = total
-        else:
-            shift[i] = 0.0
-        inner = 0.0  # weight on vertices that are not on the rim
-        inner += 0.0 if rim[a] else z
-        inner += 0.0 if rim[b] else x
-        inner += 0.0 if rim[c] else y
-        on_rim[i] = inner < 1e-9

@@ -22,8 +22,8 @@ from synthgen.registration.body_statistics import (
     part_of_vertex,
 )
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.correspondences import closest
 from synthgen.registration.scan import Scan
-from synthgen.registration.terms import closest
 from synthgen.registration.tracked import Unseen
 from synthgen.registration.verdict import Judgement
 

@@ -44,7 +44,7 @@ def fit_noise(
     if count < 1000:
         raise ShapeError(f"{count} matched samples are too few to fit a noise model; give 1000")
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
-    residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
+    residuals: list[NDArray[Any]] = [m - smoothed(ideal, float(smooth)) for m, ideal in pairs]
     # Near edges and holes samples are missing rather than noisy; filters remove what is left.
     inner = [
         (edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER)

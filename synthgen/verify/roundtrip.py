@@ -25,9 +25,9 @@ from synthgen.corpus.sample import Sample, Subject
 from synthgen.errors import ShapeError, SynthgenError
 from synthgen.geometry.rotations import matrix_from_axis_angle
 from synthgen.registration import Fit, fit
+from synthgen.registration.correspondences import closest
 from synthgen.registration.statistics import LEAST_POINTS, PARTS, part_of_vertex
 from synthgen.registration.surface import surface_of
-from synthgen.registration.terms import closest
 from synthgen.sampling.streams import stream
 from synthgen.verify.stored_points import StoredPoints, stored_points
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from synthgen.registration.correspondences import closest
 from synthgen.registration.patches import LEAST_POINTS, Patches, patches_of
 from synthgen.registration.statistics import PARTS, part_of_vertex
-from synthgen.registration.terms import closest
 from tests.registration.hands import model, rng, scan, surface, truth
 
 NOISE_M = 2e-4

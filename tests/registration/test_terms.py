@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from synthgen.registration.correspondences import Pairs
 from synthgen.registration.limit_term import LimitPrior, angle_slopes
 from synthgen.registration.prior import learned_prior
 from synthgen.registration.surface import Placed
@@ -16,10 +17,8 @@ from synthgen.registration.terms import (
     KeypointTerm,
     MeshToScan,
     MixturePrior,
-    Pairs,
     ScanToMesh,
     Term,
-    closest,
     shape_prior,
     velocity_prior,
 )
@@ -96,20 +95,6 @@ def test_reference_plane_residual() -> None:
     np.testing.assert_allclose(block.residual, own[w > 1e-4 * w.max()], atol=1e-12)
 
 
-def test_reference_closest_points_against_brute_force() -> None:
-    placed = surface().at(truth())
-    points = scan().points[:20]
-    pairs = closest(placed, points, scan().normals[:20], cut_m=1.0, cosine=-2.0)
-    dense = rng("dense").dirichlet([1, 1, 1], 4000)
-    corners = placed.vertices[surface().faces]
-    for k, point in enumerate(points):
-        near = np.argsort(np.linalg.norm(corners.mean(axis=1) - point, axis=1))[:60]
-        candidates = np.einsum("nk,fka->fna", dense, corners[near])
-        brute = np.linalg.norm(candidates - point, axis=-1).min()
-        assert np.sqrt(pairs.squared[k]) <= brute + 1e-9
-        assert brute - np.sqrt(pairs.squared[k]) < 3e-4
-
-
 def test_reference_geman_mcclure_weight_is_its_slope() -> None:
     squared, kept = np.linspace(0, 1e-4, 9), np.ones(9, bool)
     h = 1e-10
@@ -123,18 +108,6 @@ def test_properties_rejected_points_cost_the_plateau() -> None:
     lost = RHO.cost(squared, np.zeros(3, bool))
     assert np.all(lost >= RHO.cost(squared, np.ones(3, bool)))
     assert np.all(RHO.weight(squared, np.zeros(3, bool)) == 0)
-
-
-def test_properties_points_beyond_the_wrist_pull_on_nothing() -> None:
-    placed = surface().at(truth())
-    ring = placed.vertices[surface().rim]
-    away = ring.mean(axis=0) - placed.vertices.mean(axis=0)
-    stump = ring + 0.02 * away / np.linalg.norm(away)
-    outward = stump - stump.mean(axis=0)
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    pairs = closest(placed, stump, outward, cut_m=0.1, cosine=-2.0)
-    assert pairs.rim.mean() > 0.9
-    assert not pairs.kept[pairs.rim].any()
 
 
 def test_reference_mixture_takes_the_best_component() -> None:
