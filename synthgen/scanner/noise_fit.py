@@ -81,7 +81,7 @@ def fit_noise(
     )
 
 
-def _tone(residuals: list[Grid], albedo: NDArray[np.float64]) -> tuple[float, float]:
+def _tone(residuals: list[NDArray[Any]], albedo: NDArray[np.float64]) -> tuple[float, float]:
     """Reflectance in the middle, and the power of it by which the pairs' deviations fall."""
     middle = float(np.exp(np.mean(np.log(albedo))))
     if np.ptp(np.log(albedo)) < np.log(1.5):
