@@ -57,7 +57,7 @@ def fit_noise(
     even = _sigma_per_bin(residuals, bins)  # steep samples are the first to be lost on dark skin
     reference, power = _tone([r / even[b] for r, b in zip(residuals, bins, strict=True)], tones)
     strength = (tones / reference) ** -power
-    residuals = [r / np.float32(k) for r, k in zip(residuals, strength, strict=True)]
+    residuals = [r / k for r, k in zip(residuals, np.float32(strength), strict=True)]
     sigma = _sigma_per_bin(residuals, bins)
     share, factor, base = _wildness([r / sigma[b] for r, b in zip(residuals, bins, strict=True)])
     sigma = sigma * base
@@ -81,7 +81,7 @@ def fit_noise(
     )
 
 
-def _tone(residuals: list[Grid], albedo: NDArray[np.float64]) -> tuple[float, float]:
+def _tone(residuals: list[NDArray[Any]], albedo: NDArray[np.float64]) -> tuple[float, float]:
     """Reflectance in the middle, and the power of it by which the pairs' deviations fall."""
     middle = float(np.exp(np.mean(np.log(albedo))))
     if np.ptp(np.log(albedo)) < np.log(1.5):

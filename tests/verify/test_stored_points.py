@@ -12,7 +12,7 @@ from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
 from synthgen.sampling import stream
 from synthgen.verify import verify
-from synthgen.verify.roundtrip import truth_explained
+from synthgen.verify.against_truth import truth_explained
 from synthgen.verify.stored_points import shared_error, stored_points
 
 
