@@ -44,7 +44,7 @@ def fit_noise(
     if count < 1000:
         raise ShapeError(f"{count} matched samples are too few to fit a noise model; give 1000")
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
-    residuals: list[NDArray[Any]] = [m - smoothed(ideal, float(smooth)) for m, ideal in pairs]
+    residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
     # Near edges and holes samples are missing rather than noisy; filters remove what is left.
     inner = [
         (edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER)
@@ -57,7 +57,7 @@ def fit_noise(
     even = _sigma_per_bin(residuals, bins)  # steep samples are the first to be lost on dark skin
     reference, power = _tone([r / even[b] for r, b in zip(residuals, bins, strict=True)], tones)
     strength = (tones / reference) ** -power
-    residuals = [r / k for r, k in zip(residuals, np.float32(strength), strict=True)]
+    residuals = [r / np.float32(k) for r, k in zip(residuals, strength, strict=True)]
     sigma = _sigma_per_bin(residuals, bins)
     share, factor, base = _wildness([r / sigma[b] for r, b in zip(residuals, bins, strict=True)])
     sigma = sigma * base

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from synthgen.corpus.sample import Subject
 from synthgen.registration import Fit
+from synthgen.registration.correspondences import closest
 from synthgen.registration.statistics import LEAST_POINTS, PARTS, part_of_vertex
 from synthgen.registration.surface import surface_of
-from synthgen.registration.correspondences import closest
 from synthgen.verify.stored_points import StoredPoints
 
 Array = NDArray[np.float64]
