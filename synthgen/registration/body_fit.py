@@ -167,6 +167,10 @@ def _extra(
             raise ShapeError(f"pose_prior has {pose.size} numbers; expected {3 * surface.n_joints}")
         inner = slice(surface.fingers.start, surface.pose.stop)
         extra.append(GaussianPrior(inner, pose[3:], np.full(pose.size - 3, float(pose_prior[1]))))
+        if not np.isfinite(pose).all() or not 0 < float(pose_prior[1]) < np.inf:
+            raise ShapeError("pose_prior: the pose must be finite and its sd (radians) above 0")
+    if keypoints is not None and not np.isfinite(keypoints[1]).all():
+        raise ShapeError("keypoints hold a number that is not finite")
     return extra
 
 
