@@ -31,13 +31,16 @@ def truth_fits_as_well(subject: Subject, stored: StoredPoints, found: Fit) -> bo
                       stored.exact, stored.normals)  # fmt: skip
     own = surface_of(subject.loaded).pack(found.shape, found.pose, found.translation)
     fitted = _distances(own, subject, stored.points, stored.normals)
-    return bool(np.all(true <= AS_WELL * fitted + AS_WELL_M))
+    return bool(np.isfinite(true).all() and np.all(true <= AS_WELL * fitted + AS_WELL_M))
 
 
 def _distances(x: Array, subject: Subject, points: Array, normals: Array) -> Array:
     placed = surface_of(subject.loaded).at(x)
     pairs = closest(placed, points, normals, cut_m=0.05, cosine=-2.0, curved=CURVED)
-    return np.asarray(np.quantile(np.sqrt(pairs.squared[~pairs.rim]), [0.5, 0.95, 0.99]))
+    squared = pairs.squared[~pairs.rim]
+    if len(squared) == 0:  # all beyond the wrist's rim: elsewhere
+        return np.full(3, np.inf)
+    return np.asarray(np.quantile(np.sqrt(squared), [0.5, 0.95, 0.99]))
 
 
 def truth_explained(subject: Subject, stored: StoredPoints) -> tuple[float, dict[str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
 from synthgen.sampling import stream
 from synthgen.verify import verify
-from synthgen.verify.against_truth import truth_explained
+from synthgen.verify.against_truth import contradiction, truth_explained
 from synthgen.verify.stored_points import shared_error, stored_points
 
 
@@ -38,3 +39,14 @@ def test_smoke_what_is_fitted_is_what_the_sensor_says(tmp_path: Path) -> None:
     report = verify(tmp_path / "c")
     assert report.ok
     assert 0 < report.worst["sensor depth"][0] < 0.02
+
+
+def test_edge_points_elsewhere_speak_against_the_truth(tmp_path: Path) -> None:
+    generate(load_config("fixtures", ["samples=1"]), tmp_path / "c", progress=False)
+    sample = open_corpus(tmp_path / "c")[0]
+    stored = stored_points(sample, 0)
+    assert not contradiction(*truth_explained(sample.truth, stored))
+    moved = replace(stored, points=stored.points + 0.5, exact=stored.exact + 0.5)
+    assert truth_explained(sample.truth, moved) == (0.0, {})
+    assert "only 0 %" in contradiction(0.0, {})
+    assert "at the index" in contradiction(0.99, {"palm": 1.0, "index": 0.6})
