@@ -42,6 +42,12 @@ class MatchSettings:
         Least local mean, in counts of 0..255: what is darker is background.
     correlation : float
         Least correlation of a refined window.
+    sure : float
+        Below this correlation a sample needs ``sure_neighbours`` known neighbours that predict it
+        to ``sure_px``: dark skin is noisy all over, while windows over an edge lack neighbours.
+    sure_neighbours : int
+    sure_px : float
+        Pixels.
     sweeps : int
         How often matching goes on from what was matched into what was not.
     agreement_px : float
@@ -59,7 +65,10 @@ class MatchSettings:
     seed_scale: int = 2
     texture: float = 2.0
     bright: float = 6.0
-    correlation: float = 0.845
+    correlation: float = 0.6
+    sure: float = 0.845
+    sure_neighbours: int = 7
+    sure_px: float = 0.15
     sweeps: int = 8
     agreement_px: float = 0.3
     rows: int = 0
@@ -161,12 +170,15 @@ def _refine_into(
 
 
 def _drop_doubtful(samples: Image, settings: MatchSettings) -> None:
-    """Forget samples that most of their neighbours contradict."""
+    """Forget samples that most of their neighbours contradict, and poor ones without support."""
     known = np.isfinite(samples[..., 0])
     guess, _, count = predicted(samples[..., 0], samples[..., 1:3], settings.step, known)
-    off = np.abs(samples[known, 0] - guess) > settings.agreement_px
+    off = np.abs(samples[known, 0] - guess)
+    contradicted = (off > settings.agreement_px) & (count >= _LEAST_NEIGHBOURS)
+    backed = (off <= settings.sure_px) & (count >= settings.sure_neighbours)
+    poor = samples[known, 4] < settings.sure
     bad = np.zeros_like(known)
-    bad[known] = off & (count >= _LEAST_NEIGHBOURS)
+    bad[known] = contradicted | (poor & ~backed)
     samples[bad] = np.nan
 
 

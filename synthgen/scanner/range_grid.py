@@ -42,7 +42,7 @@ class GridSettings:
         Least cosine between the surface and both lines of sight.
     """
 
-    jump_px: float = 0.7
+    jump_px: float = 1.5
     bridge: int = 2
     erode: int = 0
     soft: int = 5
