@@ -34,6 +34,8 @@ Rows = Annotated[
 def bench(name: Name, rows: Rows = "", report: Report = None, as_json: Json = False) -> Result:
     """Run a benchmark and print its table; needs a checkout of the repository."""
     pictures = None if report is None else report.with_name(f"{report.stem}_pictures")
+    if report is not None:
+        report.parent.mkdir(parents=True, exist_ok=True)
     table = run(name, tuple(filter(None, rows.split(","))), pictures)
     if report is not None:
         report.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")

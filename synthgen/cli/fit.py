@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from zipfile import BadZipFile
 
 import typer
 
@@ -74,6 +75,7 @@ def fit(
     first, expected = _start(start), expected_of(loaded)
     stored = [(path, read_scan(path, units, expected)) for path in scans]
     names = _names(scans)
+    spared(scans, out, names)
     out.mkdir(parents=True, exist_ok=True)
     reports, lines = [], []
     for name, (path, scan) in zip(names, stored, strict=True):
@@ -90,7 +92,26 @@ def fit(
 def _names(scans: list[Path]) -> list[str]:
     """Name each scan's files; equal stems are numbered."""
     stems = [path.stem for path in scans]
-    return [s if stems.count(s) == 1 else f"{s}_{k}" for k, s in enumerate(stems)]
+    names = [s if stems.count(s) == 1 else f"{s}_{k}" for k, s in enumerate(stems)]
+    return names if len(set(names)) == len(names) else [f"{s}_{k}" for k, s in enumerate(stems)]
+
+
+def spared(scans: list[Path], out: Path, names: list[str]) -> None:
+    """Refuse to write a mesh or picture over a scan that is read.
+
+    Raises
+    ------
+    ConfigError
+        If a result would have the path of a scan.
+    """
+    own = {path.resolve() for path in scans}
+    for name in names:
+        for end in (".ply", "_free.ply"):
+            if (place := out / f"{name}{end}").resolve() in own:
+                raise ConfigError(
+                    f"--out {out}: the fitted mesh would replace the scan {place}; name another "
+                    "folder, such as --out fits"
+                )
 
 
 def _start(word: str) -> Any:
@@ -102,7 +123,7 @@ def _start(word: str) -> Any:
         with np.load(word, allow_pickle=False) as stored:
             last = ("expression",) if "expression" in stored else ()
             return tuple(stored[key] for key in ("shape", "pose", "translation", *last))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise ConfigError(
             f"--start {word}: expected cold or a fit's .npz (shape, pose, translation): {error}"
         ) from error

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synthgen.cli.fit import _names, _write
+from synthgen.cli.fit import _names, _write, spared
 from synthgen.cli.output import DONE, FAILED, Result
-from synthgen.errors import ShapeError
+from synthgen.errors import ShapeError, WorkLeft
 
 if TYPE_CHECKING:
     from synthgen.registration.fitted import Fit
@@ -40,6 +40,7 @@ def fit_sequence(
 
     loaded = load(model)
     reel = _Reel(scans, units, expected_of(loaded))
+    spared(scans, out, reel.names)
     out.mkdir(parents=True, exist_ok=True)
     reports: list[dict[str, Any]] = []
     lines: list[str] = []
@@ -52,7 +53,14 @@ def fit_sequence(
             lines.append(_line(scans[k], scan, found))
             bar.advance(task)
 
-        found = track(reel.frames(), loaded, start, hand, coupled=coupled, done=done)
+        try:
+            found = track(reel.frames(), loaded, start, hand, coupled=coupled, done=done)
+        except KeyboardInterrupt as error:
+            place = _partial(out, reports)
+            raise WorkLeft(
+                f"interrupted after {len(reports)} of {len(scans)} frames, which are in {place}; "
+                "the same command begins again at the first"
+            ) from error
     payload = {"out": str(out), "fits": reports, "sequence": _written(out, found, reports)}
     counts = ", ".join(f"{n} {verdict}" for verdict, n in found.report["verdicts"].items())
     seconds = found.report["cpu_s"]
@@ -119,6 +127,18 @@ def _line(path: Path, scan: StoredScan, found: Fit) -> str:
     return f"{path}: {found.verdict}{reason}{numbers}{held}; {seconds:.1f} CPU s"
 
 
+FRAME_KEYS = ("scan", "verdict", "reason", "followed", "unseen_frames", "files")
+
+
+def _partial(out: Path, reports: list[dict[str, Any]]) -> Path:
+    """Write what is known of a sequence that was interrupted."""
+    frames = [{key: report.get(key) for key in FRAME_KEYS} for report in reports]
+    place = out / "sequence.json"
+    place.write_text(json.dumps({"complete": False, "frames": frames}, indent=2) + "\n",
+                     encoding="utf-8")  # fmt: skip
+    return place
+
+
 def _written(out: Path, found: Track, reports: list[dict[str, Any]]) -> dict[str, Any]:
     """Write the sequence as JSON and npz; return the JSON."""
     import numpy as np
@@ -130,12 +150,9 @@ def _written(out: Path, found: Track, reports: list[dict[str, Any]]) -> dict[str
         followed=np.array(found.report["followed"]),
         verdict=np.array([f.verdict for f in fits]), reason=np.array([f.reason for f in fits]),
     )  # fmt: skip
-    frames = [
-        {key: report.get(key) for key in ("scan", "verdict", "reason", "followed", "unseen_frames",
-                                          "files")}
-        for report in reports
-    ]  # fmt: skip
+    frames = [{key: report.get(key) for key in FRAME_KEYS} for report in reports]
     payload = {
+        "complete": True,
         "model": found.model.name, "model_digest": found.model.digest,
         "shape": found.shape.tolist(), "parameters": "sequence.npz", "frames": frames,
         "verdicts": found.report["verdicts"], "cpu_s": found.report["cpu_s"],

@@ -48,8 +48,18 @@ class Corpus:
             views.append(self._view(shard, name))
         if not views:
             raise IntegrityError(f"sample {index} has no meta in shard {shard}")
-        spec = SampleSpec.from_json(views[0].meta["spec"])
+        try:
+            spec = SampleSpec.from_json(views[0].meta["spec"])
+        except (KeyError, TypeError) as error:
+            raise IntegrityError(
+                f"sample {index} in shard {shard} is damaged or of another version of synthgen "
+                f"({type(error).__name__}: {error})"
+            ) from None
         return Sample(index=index, views=tuple(views), spec=spec)
+
+    def index_of(self, position: int) -> int:
+        """Return the number of the sample at a position; parts of a plan begin anywhere."""
+        return self._indices[position]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[k] for k in range(len(self)))

@@ -136,7 +136,7 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
 
 def _same_rigs(corpus: Corpus, config: Config) -> None:
     for name, digest in rig_digests(config).items():
-        made = str(corpus.manifest.get(name))
+        made = str(corpus.manifest.get(name, digest))  # older corpora do not say
         if made != digest:
             raise CorpusError(
                 f"{name} was {made[:12]}, is {digest[:12]}: the rig has changed since "

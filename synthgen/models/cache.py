@@ -101,7 +101,7 @@ def cached(key: str, path: Path) -> Content | None:
 def keep(key: str, content: Content) -> None:
     """Store a checked content; a folder that cannot be written is no failure."""
     root = cache_folder()
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # nested lists in axis_meta have no plain array
         root.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=".making-", dir=root))
         try:

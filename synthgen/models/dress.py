@@ -190,6 +190,8 @@ def dressed(
         World vertices, metres, by the attachment's name.
     """
     given = checked(model, shape, pose, translation, expression)
+    if not len(given.pose):
+        return {a.name: np.zeros((0, len(a.template), 3), np.float32) for a in attachments}
     rotations, features = rotations_and_features(model, given.pose)
     rows = zip(given.shape, given.expression, strict=True)
     joints = np.stack([rest(model, beta, psi)[1] for beta, psi in rows])

@@ -2,7 +2,8 @@
 
 from synthgen.registration.fit import fit, fit_many
 from synthgen.registration.fitted import Fit
+from synthgen.registration.template import Aligned, subject_template
 from synthgen.registration.tracking import Track, track
 from synthgen.registration.verdict import REASONS
 
-__all__ = ["REASONS", "Fit", "Track", "fit", "fit_many", "track"]
+__all__ = ["REASONS", "Aligned", "Fit", "Track", "fit", "fit_many", "subject_template", "track"]

@@ -157,21 +157,36 @@ def _extra(
     """Return what the caller knows besides the scan."""
     extra: list[Term] = []
     if keypoints is not None:
-        ids, positions = (np.asarray(a) for a in keypoints)
-        if positions.shape != (len(ids), 3):
-            raise ShapeError(f"keypoints: {len(ids)} ids for positions {positions.shape}")
+        ids, positions = checked_keypoints(keypoints, surface.n_joints)
         extra.append(KeypointTerm(ids, positions, 0.01))
     if pose_prior is not None:
-        pose = np.asarray(pose_prior[0], dtype=np.float64).ravel()
-        if pose.size != 3 * surface.n_joints:
-            raise ShapeError(f"pose_prior has {pose.size} numbers; expected {3 * surface.n_joints}")
+        pose = checked_pose(pose_prior, surface.n_joints).ravel()
         inner = slice(surface.fingers.start, surface.pose.stop)
         extra.append(GaussianPrior(inner, pose[3:], np.full(pose.size - 3, float(pose_prior[1]))))
-        if not np.isfinite(pose).all() or not 0 < float(pose_prior[1]) < np.inf:
-            raise ShapeError("pose_prior: the pose must be finite and its sd (radians) above 0")
-    if keypoints is not None and not np.isfinite(keypoints[1]).all():
-        raise ShapeError("keypoints hold a number that is not finite")
     return extra
+
+
+def checked_keypoints(keypoints: tuple[Any, Any], joints: int) -> tuple[NDArray[np.int64], Array]:
+    """Return joint numbers (m,) and positions (m, 3), or say what is wrong with them."""
+    ids, positions = np.asarray(keypoints[0]), np.asarray(keypoints[1], dtype=np.float64)
+    if ids.ndim != 1 or positions.shape != (len(ids), 3):
+        raise ShapeError(f"keypoints: ids {ids.shape} for positions {positions.shape}; "
+                         "expected (m,) and (m, 3)")  # fmt: skip
+    if not np.issubdtype(ids.dtype, np.integer) or ((ids < 0) | (ids >= joints)).any():
+        raise ShapeError(f"keypoints: ids {ids.tolist()}; expected joints 0-{joints - 1}")
+    if not np.isfinite(positions).all():
+        raise ShapeError("keypoints hold a number that is not finite; leave that joint out")
+    return ids.astype(np.int64), positions
+
+
+def checked_pose(pose_prior: tuple[Any, float], joints: int) -> Array:
+    """Return the pose (K, 3) of a prior, or say what is wrong with it."""
+    pose, sd = np.asarray(pose_prior[0], dtype=np.float64), float(pose_prior[1])
+    if pose.size != 3 * joints:
+        raise ShapeError(f"pose_prior has {pose.size} numbers; expected {3 * joints}")
+    if not np.isfinite(pose).all() or not 0 < sd < np.inf:
+        raise ShapeError(f"pose_prior: sd {sd:g} rad; the pose must be finite and its sd above 0")
+    return pose.reshape(-1, 3)
 
 
 def _searched(search: BodySearch, begin: Array | None) -> tuple[BodyCandidate, str]:

@@ -154,7 +154,8 @@ def known_hands(model: BodyModel, side: str) -> HandSpace:
     from synthgen.models import load
 
     own = model.hand_space("left" if side == "left" else "right")
-    if own is None or own.coeffs is None or own.coeffs.shape[1] < 45:
+    known = None if own is None else own.coeffs
+    if known is None or len(known) < COMPONENTS or known.shape[1] < 45:
         own = load("cc0-body").hand_space("left" if side == "left" else "right")
     assert own is not None
     return own

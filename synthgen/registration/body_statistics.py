@@ -168,9 +168,9 @@ def coverage(placed: BodyPlaced, scan: Scan) -> NDArray[np.bool_]:
 def predicted_sd(placed: BodyPlaced, hessian: Array, basis: Array) -> Array:
     """Predict vertex standard deviations (V,), metres, from J H^-1 J^T at some vertices."""
     some, of_vertex = _sampled(placed.surface)
-    n = len(hessian)
-    ridge = 1e-12 * np.trace(hessian) / n
-    root = basis @ np.linalg.cholesky(np.linalg.inv(hessian + ridge * np.eye(n)))
+    # No Cholesky root: where hardly a point is seen, rounding leaves the inverse indefinite.
+    values, vectors = np.linalg.eigh(hessian)
+    root = basis @ (vectors / np.sqrt(np.maximum(values, 1e-12 * np.trace(hessian) / len(values))))
     variance = np.zeros(len(some))
     for axis in range(3):
         along = np.tile(np.eye(3)[axis], (len(some), 1))

@@ -4,6 +4,7 @@ With correspondences fixed, point-to-plane distance is quadratic in V and, to fi
 edges tie the model's parameters to V by least squares. Each round matches once and then alternates
 the two a few times: parameters that follow V undo the sliding of its vertices along the surface,
 which point-to-plane cannot see and which costs surface error where flat triangles meet curved skin.
+With ``follow=0`` (bodies) the model stays, only V is solved for, and priors play no part.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
-from synthgen.registration.body_fit import fit_body
+from synthgen.registration.body_fit import checked_keypoints, checked_pose, fit_body
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit, Side
@@ -149,12 +149,10 @@ class _Request:
         extra: list[Term] = [LimitPrior(surface.pose, limits_of(self.model))]
         flip = _FLIP if side == "left" else np.ones(3)
         if self.keypoints is not None:
-            ids, positions = (np.asarray(a) for a in self.keypoints)
-            if positions.shape != (len(ids), 3):
-                raise ShapeError(f"keypoints: {len(ids)} ids for positions {positions.shape}")
+            ids, positions = checked_keypoints(self.keypoints, surface.n_joints)
             extra.append(KeypointTerm(ids, positions * flip, 0.003))
         if self.pose_prior is not None:
-            pose = np.asarray(self.pose_prior[0], dtype=np.float64).reshape(-1, 3)
+            pose = checked_pose(self.pose_prior, surface.n_joints)
             pose = mirror_pose(pose) if side == "left" else pose
             fingers = pose[-15:].ravel()
             spread = np.full(45, float(self.pose_prior[1]))
@@ -188,13 +186,15 @@ def _start(request: _Request, start: Start) -> Array | None:
         if start != "cold":
             raise ShapeError(f"start={start!r}; expected 'cold' or (shape, pose, translation)")
         return None
-    shape, pose, translation = (np.asarray(part, dtype=np.float64) for part in start[:3])
-    n = len(request.model.parents)
-    if pose.size != 3 * n or translation.size != 3 or shape.ndim != 1:
+    parts = [np.asarray(part, dtype=np.float64) for part in start]
+    n, nb = len(request.model.parents), request.model.n_shape
+    good = len(parts) == 3 and parts[0].ndim == 1 and len(parts[0]) <= nb
+    if not good or parts[1].size != 3 * n or parts[2].size != 3:
         raise ShapeError(
-            f"start has shape {shape.shape}, pose {pose.shape}, translation {translation.shape}; "
-            f"expected (nb,), ({n}, 3), (3,)"
+            f"start has shapes {[part.shape for part in parts]}; expected (up to {nb},), "
+            f"({n}, 3), (3,)"
         )
+    shape, pose, translation = parts
     x = surface_of(request.model).pack(shape, pose.reshape(-1, 3), translation.ravel())
     if not np.isfinite(x).all():
         raise ShapeError("start holds a number that is not finite")

@@ -94,6 +94,8 @@ def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]
         If arrays are not (N, 3) or do not belong together.
     """
     p = np.asarray(points, dtype=np.float64)
+    if p.size == 0:
+        return np.zeros((0, 3)), None, 0
     if p.ndim != 2 or p.shape[1] != 3:
         raise ShapeError(f"points have shape {p.shape}; expected (N, 3), metres")
     good: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=1))

@@ -88,11 +88,6 @@ class Statistics:
         return float(np.nanmax(self.unexplained, initial=0.0))
 
     @property
-    def worst_part(self) -> str:
-        """Part with the largest unexplained share."""
-        return PARTS[int(np.nanargmax(np.nan_to_num(self.unexplained, nan=-1.0)))]
-
-    @property
     def sd95_all_m(self) -> float:
         """95 % quantile of the predicted standard deviations of all vertices."""
         return float(np.quantile(self.sd_m, 0.95))

@@ -98,6 +98,7 @@ def track(
     """
     if first < 1:
         raise ShapeError(f"first={first}: the shape is estimated over at least one frame")
+    _check_side(model, hand)
     upcoming = iter(frames)
     early = list(islice(upcoming, first))
     if not early:
@@ -114,6 +115,13 @@ def track(
     betas = fits[-1].shape if walk.betas is None else walk.betas
     report = _report(fits, spent, time.process_time() - began)
     return Track(tuple(fits), betas, fits[-1].model, report)
+
+
+def _check_side(model: BodyModel, hand: str | None) -> None:
+    if model.hand is None and hand not in (None, "auto"):
+        raise ShapeError(f"hand={hand!r} is for hand models; leave it out for a body")
+    if hand not in (None, "auto", "left", "right"):
+        raise ShapeError(f"hand={hand!r}; expected 'left', 'right', 'auto' or None")
 
 
 def _followed(

@@ -183,7 +183,10 @@ class _Run:
         kept = self.scan, self.crops, self.seen
         others = np.ones(len(self.scan.points), dtype=bool)
         others[np.concatenate(hand_crops(self.body.surface.at(x), self.scan, HANDS_M))] = False
-        self.scan = Scan(self.scan.points[others], self.scan.normals[others])
+        if others.sum() < LEAST_POINTS:
+            return self.body.surface.at(x)
+        points, normals = self.scan.points[others], self.scan.normals[others]
+        self.scan = replace(self.scan, points=points, normals=normals)
         self.crops, self.seen = [], ()
         placed = self.stage(x, SHAPE)
         self.scan, self.crops, self.seen = kept

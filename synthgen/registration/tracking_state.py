@@ -36,6 +36,10 @@ LOOKED, LOOKED_HAND = 3000, 1000
 MISSED, GAIN = 0.15, 0.03
 # A part of few points is missed where its share is so many standard errors above the limit.
 ERRORS = 2.0
+# A part with less than this share of the points that its skin should have is not seen.
+SEEN = 0.15
+# With more such parts than legs and feet there is no body to go on from.
+MOST_HIDDEN = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,8 @@ class BodyState:
         Of all points: share of those within 50 mm that are explained; share of those beyond.
     noise_m : float
         Standard deviation of the points about the skin.
+    hidden : tuple of str
+        Parts other than hands that have hardly a point.
     """
 
     present: dict[str, float]
@@ -62,6 +68,7 @@ class BodyState:
     explained: float
     far: float
     noise_m: float
+    hidden: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, placed: BodyPlaced, scan: Scan) -> BodyState:
@@ -81,6 +88,8 @@ class BodyState:
             if own.sum() >= LEAST_POINTS:
                 unexplained[k] = bad[own].mean()
         plain = near[: len(some)]
+        found = np.bincount(part[: len(some)][plain], minlength=len(PARTS))
+        bare = found < SEEN * len(some) * part_shares(placed.surface)
         close = distance[: len(some)][plain]
         return cls(
             present=presence(placed, scan, crops),
@@ -89,6 +98,7 @@ class BodyState:
             explained=float((~bad)[: len(some)][plain].mean()) if plain.any() else 0.0,
             far=float((~plain).mean()),
             noise_m=float(np.median(close)) / 0.6745 if plain.any() else NEAR_M,
+            hidden=tuple(p for p, b in zip(PARTS, bare, strict=True) if b and "hand" not in p),
         )
 
     def missed(self, sides: Sequence[str]) -> tuple[str, ...]:
@@ -115,6 +125,9 @@ class BodyState:
                     if off and part not in gone)  # fmt: skip
         if bad:
             return Judgement("fail", "part_missed", bad)
+        if len(self.hidden) > MOST_HIDDEN:
+            return Judgement("fail", "part_missed", self.hidden)
+        gone = tuple(part for part in PARTS if part in gone + self.hidden)
         return Judgement("unobserved", "hole", gone) if gone else Judgement("pass")
 
     def to_json(self) -> dict[str, Any]:
@@ -138,6 +151,14 @@ def presence(placed: BodyPlaced, scan: Scan, crops: tuple[Ids, Ids]) -> dict[str
         found = np.isin(near, hand_vertices(placed.surface, side)).sum()
         result[side] = float(found / (shares[side] * len(scan.points)))
     return result
+
+
+@lru_cache(maxsize=8)
+def part_shares(surface: BodySurface) -> Array:
+    """Share (10,) of the skin's area that each part is."""
+    area = np.linalg.norm(face_cross(surface.model.v_template, surface.faces), axis=1)
+    part = part_of_vertex(surface.model)[surface.faces[:, 0]]
+    return np.asarray(np.bincount(part, area, len(PARTS)) / area.sum())
 
 
 @lru_cache(maxsize=8)

@@ -110,7 +110,7 @@ def electrons(
         Electrons; read noise makes some of them negative.
     """
     kind = light.dtype.type
-    held = np.maximum(light, 0) * kind(gain * readout.full_well_e)
+    held = np.maximum(light, 0, order="C") * kind(gain * readout.full_well_e)
     if readout.prnu and fixed is not None:
         held *= fixed.gain
     variance = kind(readout.read_noise_e**2)

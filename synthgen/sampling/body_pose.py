@@ -94,7 +94,8 @@ def sample_body_pose(
     model : BodyModel
         A whole body in axis-angle.
     spread : float
-        0: the A-pose itself; 0.35: a person asked to stand in it; 1: free standing poses.
+        0: the A-pose, fingers drawn freely all the same; 0.35: a person asked to stand in it; 1:
+        free standing poses.
     rng : numpy.random.Generator
     shape : (nb,) float or None
         Whose limbs must stay clear; None: the mean shape's.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.errors import ModelError, nearest
+from synthgen.errors import ModelError, ShapeError, nearest
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.subdivision import InterpolatingSubdivision
 from synthgen.models import BodyModel, attachments_of, deform_feet, dressed, feet_of
@@ -69,6 +69,8 @@ def body_scene(
     ------
     ModelError
         If ``wear`` names what the shipped model does not have, or the feet cannot give way.
+    ShapeError
+        If nothing lies on the kept sides.
     """
     betas = np.zeros((1, model.n_shape)) if shape is None else np.asarray(shape)[None]
     turns = np.zeros((1, len(model.parents), 3)) if pose is None else np.asarray(pose)[None]
@@ -81,7 +83,10 @@ def body_scene(
     ):
         colours = _per_vertex(attachment.colour, attachment.faces, len(points[0]))
         solids.append(_solid(points[0], attachment.faces, planes, None, colours))
-    return ScanScene(tuple(solid for solid in solids if solid is not None))
+    kept = tuple(solid for solid in solids if solid is not None)
+    if not kept:
+        raise ShapeError(f"nothing of {model.name} lies on the kept side of {planes}")
+    return ScanScene(kept)
 
 
 def _posed(model: BodyModel, betas: Array, turns: Array, pressed: bool) -> NDArray[np.float32]:

@@ -73,6 +73,7 @@ def load_rig(name: str | Path, seed: int = 0) -> Rig:
 def _digest(spec: RigSpec, folder: Path) -> str:
     """Hash every value that decides bytes, defaults and the user's slide included."""
     content = spec.model_dump(mode="json", exclude={"summary", "own_choices"})
+    content["order"] = [list(spec.units), list(spec.projectors)]  # calibration and noise go by it
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     found = hashlib.sha256(text.encode())
     if spec.projector.pattern.image:

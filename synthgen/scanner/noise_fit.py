@@ -87,6 +87,8 @@ def _tone(residuals: list[NDArray[Any]], albedo: NDArray[np.float64]) -> tuple[f
     if np.ptp(np.log(albedo)) < np.log(1.5):
         return middle, 0.0
     enough = np.array([np.isfinite(r).sum() > 300 for r in residuals])
+    if enough.sum() < 2 or np.ptp(np.log(albedo[enough])) < np.log(1.5):
+        return middle, 0.0  # no two tones to compare
     spread = [1.4826 * float(np.nanmedian(np.abs(r))) if e else 1.0
               for r, e in zip(residuals, enough, strict=True)]  # fmt: skip
     slope = np.polyfit(np.log(albedo[enough]), np.log(np.array(spread)[enough]), 1)[0]
@@ -109,6 +111,8 @@ def _sigma_per_bin(residuals: list[Grid], bins: list[NDArray[np.int64]]) -> NDAr
         if len(own) > 30:
             sigma[k] = 1.4826 * np.median(np.abs(own))
     known = np.flatnonzero(np.isfinite(sigma))
+    if not len(known):
+        raise ShapeError("no bin of slope has 31 matched samples away from edges and holes")
     return np.asarray(np.interp(np.arange(len(SLOPES)), known, sigma[known]))
 
 

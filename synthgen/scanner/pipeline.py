@@ -260,5 +260,7 @@ def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings)
     model = load_noise("consumer" if stage.rig.reconstruction.matcher == "census" else "hand5")
     shape = pair.camera.height, pair.camera.width
     rng = stream(stage.key, "sample", unit.index, 0, "matching")
-    strength = model.strength(stage.mesh.parts[0].solid.surface.albedo)
+    solids = [part.solid for part in stage.mesh.parts]
+    seen = next((solid for solid in solids if solid.kind == "subject"), solids[0])
+    strength = model.strength(seen.surface.albedo)
     return add_noise(ideal, step, shape, model, rng=rng, strength=strength)

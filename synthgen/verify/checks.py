@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 REPROJECTION_PX, KEYPOINT_3D_M = 0.05, 2e-5
 MASK_SHARE = 0.001  # of silhouette pixels
 DEPTH_M = DEPTH_STEP_M / 2 + 2e-5
-NORMAL_DEG, UV, LIMIT_RAD = 1.0, 2e-3, 1e-4
+UV, LIMIT_RAD = 2e-3, 1e-4
 SENSOR_SHARE = 0.02  # what makers of such cameras promise
 BONE_M = (0.05, 0.13)
 # Thickest flesh on the way to a joint, over the typical radius there; and before a fingertip.

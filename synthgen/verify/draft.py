@@ -135,6 +135,8 @@ class Draft:
 
     def label_as(self, other: Draft) -> None:
         """Take labels and truth of another sample under the own name; measurements stay."""
+        if other.sample.index == self.sample.index:
+            return  # a corpus of one sample has no next one
         for own, foreign in zip(self.views, other.views, strict=True):
             index = self.sample.index
             spec = {**foreign.meta["spec"], "index": index}

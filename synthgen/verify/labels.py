@@ -59,7 +59,8 @@ def _one(report: VerifyReport, corpus: Corpus, position: int) -> None:
             report.views += 1
     except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
         message = f"{type(error).__name__}: {error}"
-        report.failures.append(Failure(position, -1, "readable", 1.0, 0.0, message))
+        number = corpus.index_of(position)
+        report.failures.append(Failure(number, -1, "readable", 1.0, 0.0, message))
 
 
 def _spread(n: int, wanted: int | None) -> list[int]:

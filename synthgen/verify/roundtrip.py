@@ -135,7 +135,11 @@ def round_trip(
     console, trips = Console(stderr=True), []
     with Progress(console=console, disable=not (progress and console.is_terminal)) as bar:
         for position in bar.track(chosen, description="round trip"):
-            trips += sample_trips(corpus[position], start)
+            try:
+                trips += sample_trips(corpus[position], start)
+            except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
+                number, message = corpus.index_of(position), f"{type(error).__name__}: {error}"
+                trips.append(HandTrip(number, 0, "truth_mismatch", message, "unreadable"))
     return RoundTrip(start, trips)
 
 

@@ -148,6 +148,8 @@ def cell(corpus: Corpus, name: str, fault: Fault, product: str, samples: int) ->
     """Put one fault into so many samples of one product, where it changes anything."""
     if fault.needs not in PRODUCTS[product]:
         return Cell(name, product, reason=LACKING[fault.needs])
+    if missing := _missing(corpus, product):
+        return Cell(name, product, reason=f"the corpus stores no {missing}")
     spoilt: list[Draft] = []
     for draft in _spoilt(corpus, fault, product, samples):
         spoilt.append(draft)
@@ -177,6 +179,12 @@ def _spoilt(corpus: Corpus, fault: Fault, product: str, samples: int) -> Iterato
             yield draft
 
 
+def _missing(corpus: Corpus, product: str) -> str:
+    """Name a product's columns that the corpus lacks; a scan may come from a z-buffer."""
+    there = corpus[0].views[0].columns | {"scan"}
+    return ", ".join(sorted(set(PRODUCTS[product]) - there))
+
+
 def _complete(draft: Draft, product: str) -> None:
     """Give a draft that lacks the scan of its product one from a z-buffer."""
     if product == "scan" and draft.scan is None:
@@ -185,6 +193,8 @@ def _complete(draft: Draft, product: str) -> None:
 
 def false_alarms(corpus: Corpus, product: str, samples: int) -> list[str]:
     """Return what the judges raise on untouched samples, spread over the corpus."""
+    if _missing(corpus, product):
+        return []
     n = len(corpus)
     chosen = sorted({k * n // samples for k in range(samples)})
     raised: dict[int, set[str]] = {}

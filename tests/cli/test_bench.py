@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_smoke(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    report = folder / "report.json"
+    report = folder / "new" / "report.json"
     assert main(["bench", "speed", "--report", str(report)]) == 0
     assert capsys.readouterr().out == "Speed\n\nwhat  s\nours  0.123\nn\n"
     assert json.loads(report.read_text())["rows"] == [["ours", 0.12345]]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from synthgen.cli.fit import _names
 from synthgen.cli.main import main
 from tests.registration.hands import error_mm, scanned, surface, truth
 
@@ -93,6 +94,21 @@ def test_edge_wrong_use(
     code, payload = run(capsys, "fit", str(scan_file), "--out", str(tmp_path / "out"), *words)
     assert code == 2
     assert message in payload["error"]
+
+
+def test_edge_a_scan_is_not_written_over(
+    scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = scan_file.read_bytes()
+    code, payload = run(capsys, "fit", str(scan_file), "--out", str(tmp_path))
+    assert code == 2
+    assert "would replace the scan" in payload["error"]
+    assert scan_file.read_bytes() == before
+
+
+def test_properties_scans_of_one_name_get_results_of_their_own() -> None:
+    names = _names([Path("x/a.ply"), Path("y/a.ply"), Path("z/a_0.ply")])
+    assert len(set(names)) == 3
 
 
 def test_smoke_train_init(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

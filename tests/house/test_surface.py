@@ -31,7 +31,9 @@ SCANNER = {
     "UnitScan", "body_scene", "centred", "is_green", "list_rigs", "load_rig", "save_scan", "scaled",
     "scan", "segment", "sense_depth", "settings_for", "solid_from_mesh", "standing",
 }  # fmt: skip
-REGISTRATION = ["REASONS", "Fit", "Track", "fit", "fit_many", "track"]
+REGISTRATION = [
+    "REASONS", "Aligned", "Fit", "Track", "fit", "fit_many", "subject_template", "track"
+]  # fmt: skip
 CONFIG = {"Config", "config_hash", "load_config", "resolved_yaml"}
 KEYS = [
     "seed", "samples", "model.name", "model.hands", "subjects.count", "shape.sigma", "shape.limit",

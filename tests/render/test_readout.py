@@ -65,6 +65,9 @@ def test_properties_fixed_pattern_gain_and_hot_pixels() -> None:
     cold = got.ravel()[~hot]
     np.testing.assert_allclose(cold, 1000 * fixed.gain.ravel()[~hot], rtol=1e-5)
     assert cold.std() / cold.mean() == pytest.approx(0.02, rel=0.05)
+    columns = np.asfortranarray(flat)
+    again = electrons(columns, replace(QUIET, prnu=0.02, hot_share=0.01), 1.0, fixed, rng=rng())
+    np.testing.assert_array_equal(again, got)
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from synthgen.errors import ModelError
+from synthgen.errors import ModelError, ShapeError
 from synthgen.geometry.topology import boundary_edges, pieces
 from synthgen.models import load
 from synthgen.scanner import CropPlane, ScanScene, body_scene, centred, load_rig, standing
@@ -79,3 +79,5 @@ def test_edge_unknown_wear_and_no_feet() -> None:
         body_scene(BODY, wear=("garmet",), levels=0)
     with pytest.raises(ModelError, match="foot networks"):
         body_scene(BODY, pressed=True, levels=0)
+    with pytest.raises(ShapeError, match="kept side"):
+        body_scene(BODY, keep=(CropPlane((0, 9, 0), (0, 1, 0)),), levels=0)

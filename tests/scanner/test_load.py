@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from synthgen.config.reading import read_yaml
 from synthgen.errors import ConfigError
 from synthgen.geometry.cameras import project
 from synthgen.scanner import list_rigs, load_rig
@@ -122,3 +125,13 @@ def test_edge_unknown_rig() -> None:
         load_rig("hnd5")
     with pytest.raises(ConfigError, match="no rig file"):
         load_rig("nowhere/rig.yaml")
+
+
+def test_properties_the_order_of_units_is_content(tmp_path: Path) -> None:
+    """Calibration is drawn unit after unit: another order is another scanner."""
+    source = list_rigs()["hand5"]
+    content: dict[str, Any] = dict(read_yaml(source).content)
+    turned = content | {"units": dict(reversed(content["units"].items()))}
+    path = tmp_path / "turned.yaml"
+    path.write_text(yaml.safe_dump(turned, sort_keys=False))
+    assert load_rig(path).digest != load_rig("hand5").digest
