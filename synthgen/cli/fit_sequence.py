@@ -116,12 +116,12 @@ def _line(path: Path, scan: StoredScan, found: Fit) -> str:
     reason = f" ({found.reason})" if found.reason else ""
     if (message := report.get("message")) is not None:
         why = message if scan.units or not scan.note else scan.note
-        return f"{path}: {found.verdict}{reason}: {why}; the frame before is repeated"
+        return f"{path}: {found.verdict}{reason}: {why}; the last fit, if any, is repeated"
     s = report["statistics"]
     numbers = "" if s is None or "noise_mm" not in s else (
         f"; noise {s['noise_mm']:.2f} mm, {100 * s['explained']:.1f} % explained"
     )  # fmt: skip
-    held = "" if report.get("followed", True) else "; the frame before is repeated"
+    held = "" if report.get("followed", True) else "; the last fit, if any, is repeated"
     held = "; begun afresh" if report.get("start") == "afresh" and not held else held
     seconds = report["cpu_s"]["total"]
     return f"{path}: {found.verdict}{reason}{numbers}{held}; {seconds:.1f} CPU s"

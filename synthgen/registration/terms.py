@@ -254,10 +254,9 @@ def shape_prior(surface: Surface, weight: float = 1.0) -> GaussianPrior:
     return GaussianPrior(surface.shape, np.zeros(nb), np.ones(nb), weight)
 
 
-def velocity_prior(surface: Surface, previous: Array, sd_rad: float) -> GaussianPrior:
-    """Zero-velocity term (Eq. 21): stay at the previous frame's pose, sd radians per angle."""
-    mean = previous[surface.pose].copy()
-    return GaussianPrior(surface.pose, mean, np.full(len(mean), sd_rad))
+def velocity_prior(where: Where, previous: Array, sd_rad: Array) -> GaussianPrior:
+    """Zero-velocity term (Eq. 21): some angles stay at the previous frame's, each with its sd."""
+    return GaussianPrior(where, previous[where].copy(), sd_rad)
 
 
 @dataclass(frozen=True, eq=False)

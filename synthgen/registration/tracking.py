@@ -256,6 +256,8 @@ class _Walk:
         self._stay()
         surface = self.follower.surface
         x = np.zeros(surface.n) if self.x is None else self.x
+        if self.x is None and self.betas is not None:
+            x[surface.shape] = self.betas
         judgement = Judgement("fail", problem.reason)
         alone = len(self.follower.sides) == 1 and self.x is not None
         if alone and problem.reason == "no_points":  # a hand that is not there

@@ -34,7 +34,7 @@ from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import BODY, LEAST_POINTS, Finding, inspect
 from synthgen.registration.scan import Scan, checked_points
 from synthgen.registration.solver import Outcome
-from synthgen.registration.terms import GaussianPrior, Term
+from synthgen.registration.terms import Term, velocity_prior
 from synthgen.registration.tracked import Frame, Unseen
 from synthgen.registration.tracking_state import BodyState, presence
 from synthgen.registration.verdict import Judgement
@@ -100,7 +100,7 @@ class BodyFollower:
     def freed(self, x: Array, scan: Scan) -> Array:
         """Free the mesh from the model."""
         noise = max(scan.local_noise_m, 1e-4)
-        return couple(self.surface, scan, x, self.priors.terms(), noise, BODY_COUPLING).vertices
+        return couple(self.surface, scan, x, (), noise, BODY_COUPLING).vertices
 
     def hand(self, side: str) -> Ids:
         """Parameters of a hand: fingers and wrist."""
@@ -205,7 +205,7 @@ class _Run:
         for side in self.seen:
             sd[self.body.hand(side)] *= AFRESH if side in self.afresh else 1 + self.unseen[side]
         ids = np.concatenate([self.body.priors.joints, *(np.r_[s.hands[k]] for k in self.seen)])
-        return GaussianPrior(ids, self.previous[ids], sd[ids])
+        return velocity_prior(ids, self.previous, sd[ids])
 
     def begun_afresh(self, placed: BodyPlaced, sides: Sequence[str]) -> BodyPlaced:
         """Try typical poses for hands that fit badly; the frame before no longer binds them."""

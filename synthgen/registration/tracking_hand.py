@@ -21,7 +21,7 @@ from synthgen.registration.scan import Scan, checked_points, scan_of
 from synthgen.registration.schedule import preset_named
 from synthgen.registration.search import Search, Settings
 from synthgen.registration.surface import Surface, surface_of
-from synthgen.registration.terms import GaussianPrior, Term
+from synthgen.registration.terms import Term, velocity_prior
 from synthgen.registration.tracked import Frame, Unseen
 from synthgen.registration.verdict import Judgement
 from synthgen.sampling.limits import limits_of
@@ -119,7 +119,7 @@ class HandFollower:
         surface, net = self.surface, initialiser_of(self.model)
         prior = learned_prior(self.model) if net is None else net.prior
         spread = np.full(45, STEP_RAD * (1 + unseen))
-        still = GaussianPrior(surface.fingers, previous[surface.fingers], spread)
+        still = velocity_prior(surface.fingers, previous, spread)
         terms: list[Term] = [LimitPrior(surface.pose, limits_of(self.model)), still]
         moving = np.delete(np.eye(surface.n), np.r_[surface.shape], axis=1)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),

@@ -23,7 +23,8 @@ def whole() -> dict[str, Any]:
 
 def test_smoke_the_shipped_files_pass(tmp_path: Path) -> None:
     np.savez(tmp_path / "hand.npz", **whole())
-    load(tmp_path / "hand.npz")
+    loaded = load(tmp_path / "hand.npz")
+    np.testing.assert_array_equal(loaded.faces, load("cc0-hand").faces)
 
 
 @pytest.mark.parametrize(

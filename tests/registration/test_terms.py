@@ -43,7 +43,7 @@ def terms() -> dict[str, Term]:
         "mesh to scan": MeshToScan(scan(), 0.1, RHO, 0.015, 0.3),
         "mixture": MixturePrior(s.fingers, prior.means, prior.whiten, prior.constants),
         "shape": shape_prior(s),
-        "velocity": velocity_prior(s, truth(), 0.03),
+        "velocity": velocity_prior(s.pose, truth(), np.full(48, 0.03)),
         "protocol": GaussianPrior(s.fingers, np.zeros(45), np.full(45, 0.2)),
         "limits": LimitPrior(s.pose, limits_of(model())),
         "keypoints": KeypointTerm(np.arange(16), s.at(truth()).joints, 2e-3),
