@@ -102,7 +102,8 @@ def _checked(
                 f"pair {k}: grids of shapes {measured.shape} and {ideal.shape}; give two equal "
                 f"(h, w) of at least {LEAST_EDGE} x {LEAST_EDGE} samples"
             )
-    apart = np.concatenate([(m - i)[np.isfinite(m) & np.isfinite(i)] for m, i in pairs] or [[]])
+    both = [(m - i)[np.isfinite(m) & np.isfinite(i)] for m, i in pairs]
+    apart = np.concatenate([np.zeros(0, np.float32), *both])
     if len(apart) < 1000:
         raise ShapeError(
             f"{len(apart)} matched samples are too few to fit a noise model; give 1000"
