@@ -79,7 +79,8 @@ def _hand(model: ManoModel, subject: HandSubject) -> Solid:
     drawn = DrawnSurface.for_model(model)
     relief = relief_of(model, subject.skin, np.array(subject.pose))
     vertices = _exact(drawn.refine(surface_of(model, subject), relief))
-    skin = Surface(float(np.array(subject.skin.dorsal_rgb) @ _LUMINANCE))
+    grey = float(np.array(subject.skin.dorsal_rgb) @ _LUMINANCE)
+    skin = Surface(grey, roughness=subject.skin.roughness)
     return Solid(vertices, drawn.refined_faces, vertex_normals(vertices, drawn.refined_faces), skin)
 
 

@@ -67,21 +67,6 @@ def read_npz(path: Path) -> dict[str, Any]:
         raise ModelError(f"{path}: not a readable model archive ({error})") from None
 
 
-def read_npy(path: Path) -> Any:
-    """Read one ``.npy`` file: an array, or the dict that a 0-d object array holds (SUPR).
-
-    Raises
-    ------
-    ModelError
-        If the file is damaged or hostile.
-    """
-    data = read_bytes_of(path)
-    try:
-        return npy_value(data)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
-
-
 def read_bytes_of(path: Path) -> bytes:
     """Read a whole file; errors name it."""
     try:

@@ -30,30 +30,6 @@ _BEYOND_LATIN1 = 0xC4
 _ODD_ESCAPE = re.compile(rb"\\(?![nrtabfv'\"]|x[0-9a-fA-F]{2}|[0-3][0-7]{2}|[0-7]{1,2}(?![0-7]))")
 
 
-def read_pickle(path: Path) -> dict[str, Any]:
-    """Read a model pickle into a dict of arrays and strings.
-
-    Parameters
-    ----------
-    path : Path
-        A ``.pkl`` of protocol 0-5, Python 2 or 3, chumpy and scipy objects allowed.
-
-    Returns
-    -------
-    dict
-        Key to array, text, number, list or dict.
-
-    Raises
-    ------
-    ModelError
-        If the file is too large, truncated, hostile or holds no dict.
-    """
-    try:
-        return unpickled_dict(read_bytes(path))
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
-
-
 def read_bytes(path: Path) -> bytes:
     """Read a whole regular file of bounded size.
 

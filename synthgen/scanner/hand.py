@@ -77,7 +77,8 @@ def hand_solid(
     ----------
     subject : HandSubject
     surface : Surface
-        Its gloss and light below the skin; the grey reflectance is the skin's own.
+        Weight of its gloss, and its light below the skin; the grey reflectance and the roughness
+        are the subject's own.
     behind_wrist_m : float
         Where the arm ends, behind joint 0.
     """
@@ -95,7 +96,8 @@ def hand_solid(
     stacked = np.concatenate([whole, rgb], axis=1)
     cut = cut_and_cap(stacked, drawn.refined_faces, plane)
     place, colours = np.ascontiguousarray(cut.vertices[:, :3]), cut.vertices[:, 3:]
-    look = replace(surface, albedo=float(np.median(colours @ _LUMINANCE)))
+    grey = float(np.median(colours @ _LUMINANCE))
+    look = replace(surface, albedo=grey, roughness=subject.skin.roughness)
     normals = vertex_normals(place, cut.faces)
     solid = Solid(place, cut.faces, normals, look, "subject", None, colours)
     return HandSolid(solid, drawn, cut.source, cut.corners, joints)

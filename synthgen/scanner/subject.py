@@ -27,7 +27,8 @@ class Surface:
     rgb : tuple of float
         Linear sRGB reflectance in the colour pictures (used where there are no vertex colours).
     specular, roughness : float
-        Weight of a GGX lobe with Fresnel reflectance 0.04 (skin is near 0.028), and its roughness;
+        Weight of a GGX lobe with Fresnel reflectance 0.04 (skin is near 0.028), and its roughness,
+        the square of which is GGX's alpha (0.3 for skin: d'Eon and Luebke, GPU Gems 3, ch. 14);
         weight 0 is a Lambertian surface.
     subsurface : float
         Share of the irradiance that is spread below the surface, 0..1.
@@ -38,7 +39,7 @@ class Surface:
     albedo: float = 0.5
     rgb: tuple[float, float, float] = (0.62, 0.38, 0.28)
     specular: float = 0.7
-    roughness: float = 0.45
+    roughness: float = 0.55
     subsurface: float = 0.6
     subsurface_m: float = 0.001
 

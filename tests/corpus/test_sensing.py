@@ -59,6 +59,12 @@ def test_properties_walls(kind: str, solids: int) -> None:
     assert [solid.kind for solid in scene.solids] == ["subject"] + ["stand"] * (solids - 1)
 
 
+def test_properties_skin_scatters_as_the_sample_says() -> None:
+    spec = draw_sample(load_config("hand_rgbd", SMALL), 0)
+    rough = spec.scene.subjects[0].skin.roughness
+    assert scene_before(spec).solids[0].surface.roughness == rough
+
+
 def test_properties_things_and_sleeves_are_there_and_empty_slots_are_not() -> None:
     furnished = ["render.quality=full", "things.support=1", "wear.sleeve=1", "background.room=1",
                  "background.plain=0", "background.outdoor=0"]  # fmt: skip

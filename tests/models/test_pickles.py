@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from synthgen.errors import ModelError
-from synthgen.models.pickles import read_pickle, unpickled, unpickled_dict
+from synthgen.models.content import read_content
+from synthgen.models.pickles import unpickled, unpickled_dict
 
 LIMIT_BYTES = 350 * 2**20
 
@@ -43,7 +44,7 @@ def refuse(data: bytes, folder: Path) -> str:
     path = folder / "attack.pkl"
     path.write_bytes(data)
     with bounded(), pytest.raises(ModelError, match=r"attack\.pkl") as caught:
-        read_pickle(path)
+        read_content(path)
     assert not Path("PWNED").exists()
     return str(caught.value)
 
@@ -78,7 +79,7 @@ def test_prove_each_attack_ends_within_a_second(tmp_path: Path) -> None:
         path.write_bytes(data)
         start = time.process_time()
         with pytest.raises(ModelError):
-            read_pickle(path)
+            read_content(path)
         assert time.process_time() - start < 1.0, name
 
 
@@ -94,7 +95,7 @@ def test_edge_too_large(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         stream.truncate(10 * 2**30)  # sparse: takes no disk
     with bounded(), pytest.raises(ModelError, match="at most"):
-        read_pickle(path)
+        read_content(path)
 
 
 def valid() -> dict[str, Any]:

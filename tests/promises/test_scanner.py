@@ -13,8 +13,8 @@ import pytest
 from synthgen.cli import bench
 
 pytestmark = pytest.mark.prove
-# Times are for benchmarks; vertices invented beyond the seen surface have a promise of their own.
-NOT_HERE = ("CPU s", "invented")
+# Times are for benchmarks.
+NOT_HERE = ("CPU s",)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +65,14 @@ def test_properties_same_seed_same_bytes(parts: Any) -> None:
     assert not hands._same(one, other)
 
 
-def test_reference_default_budget(parts: Any) -> None:
-    """Twenty scanners by the fitted noise, and some of them with pictures."""
+def test_reference_default_budget(parts: Any, tmp_path: Path) -> None:
+    """Twenty scanners before a hand that moves, everything on: the manufacturer's figure."""
+    budget = import_module("benchmarks.scanner_budget").run(["scanners"], tmp_path)
+    assert len([row for row in budget["rows"] if row[-1]]) == 1
+    assert not missed(budget["rows"])
+
+
+def test_reference_modelled_scanners_are_as_good_as_full_ones(parts: Any) -> None:
     setting, hands = parts("setting"), parts("hands")
     scene = hands.ScanScene((setting.hand(1).solid,))
 
@@ -76,7 +82,5 @@ def test_reference_default_budget(parts: Any) -> None:
         found = hands.scan(scene, rig, rng=setting.keyed(seed), level=level, settings=asked)
         return float(setting.fused_rms(found))
 
-    modelled = [rms(seed, "model") for seed in range(20)]
-    assert 0.17 <= np.median(modelled) <= 0.23
     for seed in (2, 8, 13):
-        assert rms(seed, "full") == pytest.approx(modelled[seed], rel=0.25)
+        assert rms(seed, "full") == pytest.approx(rms(seed, "model"), rel=0.25)

@@ -74,6 +74,11 @@ def test_properties_put_in_rig_stands_upright() -> None:
         assert along[1] > 0.95 * np.linalg.norm(along)
 
 
+def test_properties_skin_scatters_as_the_sample_says() -> None:
+    skin = replace(SUBJECT.skin, roughness=0.61)
+    assert hand_solid(replace(SUBJECT, skin=skin)).solid.surface.roughness == 0.61
+
+
 def test_properties_wrist_is_cut_straight() -> None:
     hand = hand_solid(SUBJECT)
     away = wrist_plane(hand.joints, BEHIND_WRIST_M).side(hand.solid.vertices)
