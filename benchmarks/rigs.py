@@ -30,7 +30,7 @@ def run(rows: tuple[str, ...] = (), pictures: Path = PICTURES) -> dict[str, Any]
         "columns": ["rig", "pixels", "voxel mm", "units", "vertices", "RMS mm", "p99 mm",
                     "seen covered", "unseen covered", "CPU s", "peak MB"],
         "rows": [row(*case, pictures) for case in chosen],
-        "notes": ["peak: of the whole process until the scan was there; run rigs alone for their own",
+        "notes": ["peak: of the process until the scan was there; run a rig alone for its own",
                   f"pictures: {pictures}"],
     }  # fmt: skip
 
