@@ -1,13 +1,12 @@
 """Levels of the scanner against each other, and the fit of the noise model behind ``model``.
 
-``python -m benchmarks.scanner_noise`` fits it to full residuals and writes ``scenes/noise/``.
 Two hands that the fit has not seen, of light and of dark skin, are scanned by one scanner at each
-level. About two CPU minutes; so is the fit.
+level. ``--rows fit`` fits the model to full residuals first and writes ``scenes/noise/``; do so
+whenever matching has changed. Two CPU minutes; the fit takes another two.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,12 +22,14 @@ from synthgen.errors import ConfigError
 from synthgen.scanner import Effects, Scan, ScanScene, UnitScan, load_rig, scaled
 from synthgen.scanner.hand import HandSolid
 from synthgen.scanner.match import DisparityGrid
+from synthgen.scanner.noise import SHARES, mattness
 from synthgen.scanner.noise_fit import fit_noise
 from synthgen.scanner.pipeline import assemble, measure
 from synthgen.scanner.range_grid import GridSettings, range_grid
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenes" / "noise"
 LEVELS = ("full", "half", "model")
+FIT, FITTED_RIGS = "fit", ("hand5", "consumer")
 # Sample, spin, tone (0 is light) and scanner seed; compared hands are not those of the fit.
 FITTED = ((0, 0.0, 0.1, 3), (12, 1.2, 0.4, 6), (5, 2.6, 0.7, 8), (9, 4.0, 1.0, 2))
 COMPARED = ((3, 2.0, 0.15, 12), (6, 5.0, 0.85, 12))
@@ -60,13 +61,14 @@ class Errors:
 
 
 def run(rows: Sequence[str] = (), pictures: Path = Path("out/scanner_noise")) -> dict[str, Any]:
-    """Scan the hands at every level; ``rows`` may name levels."""
+    """Scan the hands at every level; ``rows`` may name levels, and ``fit``."""
     for name in rows:
-        if name not in LEVELS:
-            raise ConfigError(f"no level {name!r}; there are {', '.join(LEVELS)}")
-    levels = [level for level in LEVELS if not rows or level in rows]
+        if name not in (FIT, *LEVELS):
+            raise ConfigError(f"no level {name!r}; there are {', '.join(LEVELS)}, and {FIT}")
+    levels = [level for level in LEVELS if level in rows] or list(LEVELS)
     pictures.mkdir(parents=True, exist_ok=True)
     with threadpool_limits(limits=1):
+        written = [write(name) for name in FITTED_RIGS] if FIT in rows else []
         found = {level: _level(level, pictures) for level in levels}
     names = list(found[levels[0]])
     ratio = "full" in levels and "model" in levels
@@ -83,6 +85,7 @@ def run(rows: Sequence[str] = (), pictures: Path = Path("out/scanner_noise")) ->
             "residual: depth measured minus ideal, every matched sample; robust standard deviation",
             "correlation: of residuals half a window (6.5 px), one and two windows apart",
             f"pictures: {pictures}",
+            *(f"fitted: {path}" for path in written),
         ],
     }  # fmt: skip
 
@@ -112,7 +115,7 @@ def _scanned(
     """Scan a hand by the scanner of a seed, everything on."""
     rig = load_rig("hand5", seed)
     asked = setting.settings(rig, level)
-    solid = _hand(sample, spin, tone)
+    solid = _hand(sample, spin, tone).solid
     used = scaled(rig, 0.5) if level == "half" else rig
     stage = setting.staged([solid], used, sample, Effects())
     parts = [measure(stage, unit, level, asked) for unit in used.units]
@@ -203,7 +206,7 @@ def _draw(found: dict[str, dict[str, float]], path: Path) -> None:
 
 def write(name: str = "hand5") -> Path:
     """Fit the model to scans of four hands of all tones by four scanners, and write it."""
-    pairs, albedo, step = [], [], 1
+    pairs, matt, step = [], [], 1
     for sample, spin, tone, seed in FITTED:
         rig = load_rig(name, seed)
         solid = _hand(sample, spin, tone).solid
@@ -213,22 +216,21 @@ def write(name: str = "hand5") -> Path:
             part = measure(stage, unit, "full", asked).unit
             if np.isfinite(part.disparity).any() and part.true_disparity is not None:
                 pairs.append((part.disparity, part.true_disparity))
-                albedo.append(solid.surface.albedo)
+                matt.append(mattness(solid.surface))
                 step = part.step
-    model = fit_noise(pairs, step, albedo)
+    model = fit_noise(pairs, step, matt)
     count = sum(int(np.isfinite(measured).sum()) for measured, _ in pairs)
     lines = [f"# Fitted by benchmarks/scanner_noise.py to {count} samples of {len(pairs)} pairs of "
              f"{name}, level full: {len(FITTED)} hands,",
-             f"# grey reflectance {min(albedo):.2f} to {max(albedo):.2f}, scanner seeds "
+             f"# mattness {min(matt):.3f} to {max(matt):.3f}, scanner seeds "
              f"{', '.join(str(case[3]) for case in FITTED)}."]  # fmt: skip
     for key, value in model.model_dump().items():
-        lines.append(f"{key}: {list(value) if isinstance(value, tuple) else value}")
+        if key == "errors_px":
+            lines.append(f"{key}:  # at {', '.join(f'{share:g}' for share in SHARES)}")
+            lines += [f"  - {list(law)}" for law in value]
+        else:
+            lines.append(f"{key}: {list(value) if isinstance(value, tuple) else value}")
     FOLDER.mkdir(parents=True, exist_ok=True)
     path = FOLDER / f"{'consumer' if rig.reconstruction.matcher == 'census' else name}.yaml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
-
-
-if __name__ == "__main__":
-    for rig_name in sys.argv[1:] or ["hand5", "consumer"]:
-        sys.stdout.write(f"{write(rig_name)}\n")

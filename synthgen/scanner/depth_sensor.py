@@ -24,7 +24,7 @@ from synthgen.scanner.census import match_census
 from synthgen.scanner.exposure import expose
 from synthgen.scanner.ideal import ideal_disparity
 from synthgen.scanner.match import DisparityGrid
-from synthgen.scanner.noise import add_noise, load_noise
+from synthgen.scanner.noise import add_noise, load_noise, strength_on
 from synthgen.scanner.rectify import Rectified
 from synthgen.scanner.rig import Calibration, Rig, Unit
 from synthgen.scanner.scaling import scale_camera
@@ -96,7 +96,9 @@ def sense_depth(
         ideal = ideal_disparity(stage, unit, pair, 1, time_s=0.0)
         noise = stream(stage.key, "sample", 0, 0, "matching")
         shape = pair.camera.height, pair.camera.width
-        grid = add_noise(ideal, 1, shape, load_noise("consumer"), rng=noise)
+        model = load_noise("consumer")
+        strength = strength_on(scene.solids, model)
+        grid = add_noise(ideal, 1, shape, model, rng=noise, strength=strength)
     depth = _on_view(pair, grid, camera)
     return SensorDepth(depth if problem is None else np.zeros_like(depth), problem)
 

@@ -7,32 +7,37 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.special import erfc
 
 from synthgen.errors import ShapeError
 from synthgen.scanner.noise import (
-    DARKEST,
+    LAWS,
+    LEAST_MATT,
+    RINGS,
+    SCORES,
+    SHARES,
     SLOPES,
     Grid,
     NoiseModel,
+    beyond_share,
+    continued,
     edge_bin,
+    laws,
     slope_bin,
     smoothed,
 )
 from synthgen.scanner.settings import MAX_STEP
 
 LEAST_EDGE = 32
-_EDGE_BINS, _INNER, _FROM_HOLES, _LAGS, _LARGEST_PX = 6, 3, 2, 4, 2.0
-# Multiples of the robust deviation beyond which errors are counted to tell wild ones.
-_BEYOND = (0.6745, 1.5, 2.5, 4.0, 6.0)
+_EDGE_BINS, _LAGS, _LARGEST_PX, _FAULTY_PX = 6, 4, 2.0, 20.0
+# A law that fewer samples speak for is that of its neighbour; a pair with fewer has no scale.
+_LEAST, _LEAST_OF_PAIR = 200, 300
 # Lags, samples, at which the window's own correlation is gone.
 _FAR = (8, 16, 24)
-_LEAST_LONG, _CLIP = 0.03, 5.0
+_LEAST_LONG, _MOST_LONG = 0.03, 0.8
 
 
 def fit_noise(
-    pairs: Sequence[tuple[Grid, Grid]], step: int, albedo: Sequence[float] | None = None
+    pairs: Sequence[tuple[Grid, Grid]], step: int, matt: Sequence[float] | None = None
 ) -> NoiseModel:
     """Fit the noise model.
 
@@ -42,58 +47,52 @@ def fit_noise(
         Disparity grids (h, w), pixels, NaN where unknown.
     step : int
         Pixels between their samples.
-    albedo : sequence of float, optional
-        Grey reflectance 0..1 of what each pair saw; without it errors do not depend on it.
+    matt : sequence of float, optional
+        Mattness 0..1 of what each pair saw, see :func:`synthgen.scanner.noise.mattness`; without it
+        errors do not depend on it.
 
     Raises
     ------
     ShapeError
         If fewer than 1000 samples are matched, grids differ in size or are smaller than 32 x 32,
-        there is not one reflectance a pair, or what was measured has no errors or nothing but
+        there is not one mattness a pair, or what was measured has no errors or nothing but
         errors.
     """
-    tones = _checked(pairs, step, albedo)
+    tones = _checked(pairs, step, matt)
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
-    residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
-    # Near edges and holes samples are missing rather than noisy; filters remove what is left.
-    inner = [
-        (edge_bin(np.isfinite(ideal), _EDGE_BINS) >= _INNER)
-        & (edge_bin(np.isfinite(measured), _EDGE_BINS) >= _FROM_HOLES)
-        for measured, ideal in pairs
-    ]
-    residuals = [np.where(i, r, np.nan) for i, r in zip(inner, residuals, strict=True)]
-    bins = [slope_bin(ideal, step) for _, ideal in pairs]
-    even = _sigma_per_bin(residuals, bins)  # steep samples are the first to be lost on dark skin
-    reference, power = _tone([r / even[b] for r, b in zip(residuals, bins, strict=True)], tones)
+    residuals = [m - continued(smoothed(i, float(smooth))) for m, i in pairs]
+    law = [laws(ideal, step) for _, ideal in pairs]
+    scale = _scales(residuals, law)
+    reference, power, spread = _tone(scale, tones)
     strength = (tones / reference) ** -power
-    residuals = [r / np.float32(k) for r, k in zip(residuals, strength, strict=True)]
-    sigma = _sigma_per_bin(residuals, bins)
-    share, factor, base = _wildness([r / sigma[b] for r, b in zip(residuals, bins, strict=True)])
-    sigma = sigma * base
-    near, long_part, far = _correlation(
-        [r / sigma[b] for r, b in zip(residuals, bins, strict=True)]
-    )
-    edge, slope = _matched_shares(pairs, bins, strength)
+    errors = _laws([r / np.float32(s) for r, s in zip(residuals, scale, strict=True)], law)
+    near, long_part, far = _correlation(_scores(residuals, scale, law, errors))
+    edge, slope = _matched_shares(pairs, [slope_bin(i, step) for _, i in pairs], strength)
+    beyond = np.sum([beyond_share(measured, ideal) for measured, ideal in pairs], axis=0)
     return NoiseModel(
         step=step,
-        sigma_px=tuple(float(round(v, 5)) for v in sigma),
-        wild_share=round(share, 4),
-        wild_factor=round(factor, 2),
+        errors_px=tuple(_rounded(quantiles, 4) for quantiles in errors),
         correlation_px=round(near * step, 2),
         long_part=round(long_part, 3),
-        long_px=round(far * step, 1),
+        long_px=round(float(np.clip(far * step, 1, 500)), 1),
         smooth_px=round(float(smooth) * step, 2),
-        edge_share=tuple(float(round(v, 3)) for v in edge),
-        slope_share=tuple(float(round(v, 3)) for v in slope),
-        albedo=round(reference, 3),
-        albedo_power=round(power, 3),
+        edge_share=_rounded(edge, 3),
+        slope_share=_rounded(slope, 3),
+        fringe_share=_rounded(beyond[0] / np.maximum(beyond[1], 1), 3),
+        matt=round(reference, 5),
+        matt_power=round(power, 3),
+        pair_spread=round(spread, 3),
     )
+
+
+def _rounded(values: NDArray[np.float64], digits: int) -> tuple[float, ...]:
+    return tuple(round(float(value), digits) for value in values)
 
 
 def _checked(
-    pairs: Sequence[tuple[Grid, Grid]], step: int, albedo: Sequence[float] | None
+    pairs: Sequence[tuple[Grid, Grid]], step: int, matt: Sequence[float] | None
 ) -> NDArray[np.float64]:
-    """Refuse what cannot be fitted; return the pairs' reflectance."""
+    """Refuse what cannot be fitted; return the pairs' mattness."""
     if not 1 <= step <= MAX_STEP:
         raise ShapeError(f"step = {step}; 1 to {MAX_STEP} pixels are possible")
     for k, (measured, ideal) in enumerate(pairs):
@@ -114,26 +113,12 @@ def _checked(
             f"the median of |measured - ideal| is {typical:.3g} px; above 0 and below "
             f"{_LARGEST_PX:g} is possible: are these grids of the same pair"
         )
-    tones = np.ones(len(pairs)) if albedo is None else np.array(albedo, np.float64)
+    tones = np.ones(len(pairs)) if matt is None else np.array(matt, np.float64)
     if tones.shape != (len(pairs),) or not ((tones >= 0) & (tones <= 1)).all():
         raise ShapeError(
-            f"albedo = {tones.tolist()} for {len(pairs)} pairs; give one reflectance 0..1 a pair"
+            f"matt = {tones.tolist()} for {len(pairs)} pairs; give one mattness 0..1 a pair"
         )
-    return np.maximum(tones, DARKEST)
-
-
-def _tone(residuals: list[NDArray[Any]], albedo: NDArray[np.float64]) -> tuple[float, float]:
-    """Reflectance in the middle, and the power of it by which the pairs' deviations fall."""
-    middle = float(np.exp(np.mean(np.log(albedo))))
-    if np.ptp(np.log(albedo)) < np.log(1.5):
-        return middle, 0.0
-    enough = np.array([np.isfinite(r).sum() > 300 for r in residuals])
-    if enough.sum() < 2 or np.ptp(np.log(albedo[enough])) < np.log(1.5):
-        return middle, 0.0  # no two tones to compare
-    spread = [1.4826 * float(np.nanmedian(np.abs(r))) if e else 1.0
-              for r, e in zip(residuals, enough, strict=True)]  # fmt: skip
-    slope = np.polyfit(np.log(albedo[enough]), np.log(np.array(spread)[enough]), 1)[0]
-    return middle, float(np.clip(-slope, 0, 2))
+    return np.maximum(tones, LEAST_MATT)
 
 
 def _spread(pairs: Sequence[tuple[Grid, Grid]], sigma: float) -> float:
@@ -142,71 +127,115 @@ def _spread(pairs: Sequence[tuple[Grid, Grid]], sigma: float) -> float:
     return float(np.nanmedian(np.concatenate(each)))
 
 
-def _sigma_per_bin(residuals: list[Grid], bins: list[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """Robust standard deviation per bin of slope; empty bins take their neighbour's."""
-    values = np.concatenate([r.ravel() for r in residuals])
-    where = np.concatenate([b.ravel() for b in bins])
-    sigma = np.full(len(SLOPES), np.nan)
-    for k in range(len(SLOPES)):
-        own = values[(where == k) & np.isfinite(values)]
-        if len(own) > 30:
-            sigma[k] = 1.4826 * np.median(np.abs(own))
-    known = np.flatnonzero(np.isfinite(sigma))
-    if not len(known):
-        raise ShapeError("no bin of slope has 31 matched samples away from edges and holes")
-    return np.asarray(np.interp(np.arange(len(SLOPES)), known, sigma[known]))
+def _inner(residual: Grid, law: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Known residuals away from edges."""
+    return np.isfinite(residual) & (law >= RINGS) & (law < LAWS - 1)
 
 
-def _wildness(scaled: list[NDArray[Any]]) -> tuple[float, float, float]:
-    """Share and scale of wilder errors, and the scale of the others, in robust deviations.
+def _deviation(values: NDArray[Any]) -> float:
+    return 1.4826 * float(np.median(np.abs(values)))
 
-    A mixture of two normal laws that has the same shares beyond some bounds.
+
+def _scales(residuals: list[Grid], law: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """How large each pair's errors are (n,), away from edges, against all pairs' of equal slope.
+
+    Their geometric mean is 1; so is that of a pair that matched next to nothing.
     """
-    values = np.abs(np.concatenate([s[np.isfinite(s)] for s in scaled]))
-    values = values[values < _LARGEST_PX / 0.02]
-    bounds = np.array(_BEYOND)
-    beyond = np.array([(values > b).mean() for b in bounds])
-    if beyond[2] < 1.2 * erfc(bounds[2] / np.sqrt(2)):
-        return 0.0, 1.0, 1.0
+    pooled, inner = np.ones(LAWS), [_inner(r, b) for r, b in zip(residuals, law, strict=True)]
+    for k in range(RINGS, LAWS - 1):
+        own = [r[i & (b == k)] for r, i, b in zip(residuals, inner, law, strict=True)]
+        values = np.concatenate(own)
+        pooled[k] = _deviation(values) if len(values) > _LEAST else np.nan
+    pooled = np.where(np.isfinite(pooled), pooled, np.nanmean(pooled[RINGS:-1]))
+    size = np.array([
+        np.log(_deviation((r / pooled[b])[i])) if i.sum() > _LEAST_OF_PAIR else np.nan
+        for r, i, b in zip(residuals, inner, law, strict=True)
+    ])  # fmt: skip
+    if not np.isfinite(size).any():
+        raise ShapeError(
+            f"no pair has {_LEAST_OF_PAIR} matched samples that are {RINGS} or more from an edge"
+        )
+    return np.exp(np.where(np.isfinite(size), size - np.nanmean(size), 0.0))
 
-    def misfit(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        share, factor, base = x
-        z = bounds / (base * np.sqrt(2))
-        expected = (1 - share) * erfc(z) + share * erfc(z / factor)
-        return np.asarray(np.log(expected + 1e-6) - np.log(beyond + 1e-6))
 
-    found = least_squares(misfit, [0.05, 4.0, 0.9], bounds=([0, 1, 0.5], [0.5, 20, 1.0]))
-    share, factor, base = (float(v) for v in found.x)
-    return share, factor, base
+def _tone(scale: NDArray[np.float64], matt: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Mattness in the middle, the power of it by which errors fall, and what pairs differ by."""
+    middle, size = float(np.exp(np.mean(np.log(matt)))), np.log(scale)
+    if np.ptp(np.log(matt)) < np.log(1.5):  # no two tones to compare
+        return middle, 0.0, min(float(np.std(size)), 1.0)
+    slope = np.polyfit(np.log(matt), size, 1)[0]
+    power = float(np.clip(-slope, 0, 2))
+    rest = size + power * np.log(matt / middle)
+    return middle, power, min(float(np.std(rest)), 1.0)
 
 
-def _correlation(scaled: list[NDArray[Any]]) -> tuple[float, float, float]:
-    """Sigma, samples, of the smoothing behind the residuals' autocorrelation, and its long part.
+def _laws(residuals: list[Grid], law: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """Quantiles (LAWS, n) of the residuals; a law with too few samples is like one further in."""
+    values = np.concatenate([r.ravel() for r in residuals])
+    where = np.concatenate([b.ravel() for b in law])
+    values, where = (v[np.isfinite(values)] for v in (values, where))
+    found = np.full((LAWS, len(SHARES)), np.nan)
+    for k in range(LAWS):
+        own = values[where == k]
+        if len(own) > _LEAST:
+            found[k] = np.clip(np.quantile(own, SHARES), -_FAULTY_PX, _FAULTY_PX)
+    known = np.flatnonzero(np.isfinite(found[:, 0]))
+    inner = known[(known >= RINGS) & (known < LAWS - 1)]
+    for k in range(LAWS):
+        if k not in known:  # a slope takes the nearest slope's, a ring or fringe one of a ring
+            among = inner if RINGS <= k < LAWS - 1 else known[known < LAWS - 1]
+            found[k] = found[among[np.argmin(np.abs(among - (0 if k == LAWS - 1 else k)))]]
+    return found
+
+
+def _scores(
+    residuals: list[Grid],
+    scale: NDArray[np.float64],
+    law: list[NDArray[np.int64]],
+    errors: NDArray[np.float64],
+) -> list[NDArray[np.float64]]:
+    """Return normal scores (h, w) of residuals away from edges under their laws; else NaN."""
+    found = []
+    for residual, size, number in zip(residuals, scale, law, strict=True):
+        score = np.full(residual.shape, np.nan)
+        inner = _inner(residual, number)
+        for k in range(RINGS, LAWS - 1):
+            own = inner & (number == k)
+            score[own] = np.interp(residual[own] / size, errors[k], SCORES)
+        found.append(score)
+    return found
+
+
+def _correlation(scores: list[NDArray[Any]]) -> tuple[float, float, float]:
+    """Sigma, samples, of the smoothing behind the scores' autocorrelation, and its long part.
 
     White noise under a Gaussian of sigma s has the autocorrelation exp(-lag^2 / (4 s^2)). What is
     left where a window's errors have nothing in common any more is the long part: its standard
     deviation, and its own sigma.
     """
-    clipped = [np.clip(s, -_CLIP, _CLIP) for s in scaled]
-    zero = _at_lag(clipped, 0)
-    far = [max(_at_lag(clipped, lag) / zero, 0.0) for lag in _FAR]
-    share = far[0] if far[0] > _LEAST_LONG else 0.0
+    zero = _at_lag(scores, 0)
+    far = [max(_at_lag(scores, lag) / zero, 0.0) for lag in _FAR]
     fall = np.log(max(far[0], 1e-3) / max(far[-1], 1e-3))
     reach = float(np.sqrt((_FAR[-1] ** 2 - _FAR[0] ** 2) / (4 * max(fall, 0.05))))
+    whole = far[0] * np.exp((_FAR[0] / reach) ** 2 / 4)  # at no lag
+    share = float(min(whole, _MOST_LONG)) if far[0] > _LEAST_LONG else 0.0
     found = []
     for lag in range(1, _LAGS + 1):
-        near = (_at_lag(clipped, lag) / zero - share) / (1 - share)
+        long = share * np.exp(-((lag / reach) ** 2) / 4)
+        near = (_at_lag(scores, lag) / zero - long) / (1 - share)
         if near < 0.1:
             break
         found.append(lag / np.sqrt(-4 * np.log(min(near, 0.999))))
-    return float(np.mean(found)) if found else 0.0, min(float(np.sqrt(share * zero)), 0.9), reach
+    return float(np.mean(found)) if found else 0.0, float(np.sqrt(share)), reach
 
 
-def _at_lag(clipped: list[NDArray[Any]], lag: int) -> float:
-    """Mean product of samples that lie ``lag`` apart, across and down."""
-    across = [(c[:, lag:] * c[:, : c.shape[1] - lag]).ravel() for c in clipped]
-    down = [(c[lag:] * c[: len(c) - lag]).ravel() for c in clipped]
-    return float(np.nanmean(np.concatenate(across + down)))
+def _at_lag(scores: list[NDArray[Any]], lag: int) -> float:
+    """Mean product of samples that lie ``lag`` apart, across and down; 0 where there are none."""
+    across = [(c[:, lag:] * c[:, : c.shape[1] - lag]).ravel() for c in scores]
+    down = [(c[lag:] * c[: len(c) - lag]).ravel() for c in scores]
+    products = np.concatenate(across + down)
+    known = products[np.isfinite(products)]
+    return float(known.mean()) if len(known) else 0.0
 
 
 def _matched_shares(

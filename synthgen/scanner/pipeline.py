@@ -19,7 +19,7 @@ from synthgen.scanner.exposure import Exposure, expose, unit_time, unlit
 from synthgen.scanner.ideal import ideal_disparity
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.match import DisparityGrid, lit, match
-from synthgen.scanner.noise import add_noise, load_noise
+from synthgen.scanner.noise import add_noise, load_noise, strength_on
 from synthgen.scanner.provenance import measured_by, truth_of
 from synthgen.scanner.range_grid import RangeGrid, range_grid
 from synthgen.scanner.rectify import Rectified, rectify, rectify_images
@@ -265,7 +265,6 @@ def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings)
     ideal = ideal_disparity(stage, unit, pair, step, time_s=unit_time(stage, unit))
     model = load_noise("consumer" if stage.rig.reconstruction.matcher == "census" else "hand5")
     rng = stream(stage.key, "sample", unit.index, 0, "matching")
-    solids = [part.solid for part in stage.mesh.parts]
-    seen = next((solid for solid in solids if solid.kind == "subject"), solids[0])
-    strength = model.strength(seen.surface.albedo)
-    return Matched(None, add_noise(ideal, step, shape, model, rng=rng, strength=strength), None, {})
+    strength = strength_on([part.solid for part in stage.mesh.parts], model)
+    grid = add_noise(ideal, step, shape, model, rng=rng, strength=strength)
+    return Matched(None, grid, None, {})

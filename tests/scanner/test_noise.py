@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from synthgen.errors import ConfigError, ShapeError
 from synthgen.sampling.streams import stream
-from synthgen.scanner.noise import DARKEST, NoiseModel, add_noise, edge_bin, load_noise, slope_bin
+from synthgen.scanner.noise import (
+    LAWS,
+    LEAST_MATT,
+    RINGS,
+    SCORES,
+    SHARES,
+    NoiseModel,
+    add_noise,
+    continued,
+    edge_bin,
+    laws,
+    load_noise,
+    mattness,
+    slope_bin,
+    strength_on,
+)
 from synthgen.scanner.noise_fit import fit_noise
+from synthgen.scanner.subject import Surface, solid_from_mesh
 
+
+def law(sigma: float, tail: float = 1.0, median: float = 0.0) -> tuple[float, ...]:
+    """A normal law whose outer quantiles, beyond two deviations, are ``tail`` times as far out."""
+    return tuple(float(median + sigma * z * (tail if abs(z) > 2 else 1)) for z in SCORES)
+
+
+# Rings from the edge inwards, slopes, what is beyond the edge.
+SIGMA = (0.3, 0.2, 0.15, 0.12, 0.02, 0.03, 0.04, 0.06, 0.1, 0.3)
+MEDIAN = (-0.4, -0.1, 0, 0, 0, 0, 0, 0, 0, -1.0)
 MODEL = NoiseModel(
     step=3,
-    sigma_px=(0.02, 0.03, 0.04, 0.06, 0.1),
-    wild_share=0.01,
-    wild_factor=4.0,
+    errors_px=tuple(law(s, 1.0, m) for s, m in zip(SIGMA, MEDIAN, strict=True)),
     correlation_px=4.5,
     smooth_px=0.0,
     edge_share=(0.2, 0.6, 0.9, 1.0, 1.0, 1.0),
     slope_share=(0.99, 0.99, 0.98, 0.95, 0.8),
+    fringe_share=(0.3, 0.1, 0.0, 0.0),
 )
 
 
@@ -38,52 +64,91 @@ def pairs() -> Any:
     return [(add_noise(d, 3, (603, 723), MODEL, rng=rng).disparity, d) for d in ideals]
 
 
+def middle(model: NoiseModel) -> Any:
+    """Medians and deviations of the laws."""
+    errors = np.array(model.errors_px)
+    low, high = SHARES.index(0.25), SHARES.index(0.75)
+    return errors[:, SHARES.index(0.5)], (errors[:, high] - errors[:, low]) / (2 * SCORES[high])
+
+
 def test_reference_fit_finds_its_own_model(pairs: Any) -> None:
     found = fit_noise(pairs, 3)
-    assert found.sigma_px == pytest.approx(MODEL.sigma_px, rel=0.12)
+    median, sigma = middle(found)
+    # Laws of rings are known from few windows; slopes from many.
+    assert sigma[RINGS:-1] == pytest.approx(SIGMA[RINGS:-1], rel=0.12)
+    assert sigma[[0, 1, 2, 3, -1]] == pytest.approx([*SIGMA[:RINGS], SIGMA[-1]], rel=0.3)
+    assert median[:RINGS] == pytest.approx(MEDIAN[:RINGS], abs=0.1)
+    assert median[-1] == pytest.approx(MEDIAN[-1], abs=0.15)
     assert found.correlation_px == pytest.approx(MODEL.correlation_px, rel=0.12)
+    assert found.pair_spread < 0.1
     # Luck is correlated over windows: shares are known to a few percent only.
     assert found.edge_share == pytest.approx(MODEL.edge_share, abs=0.1)
     assert found.slope_share == pytest.approx(MODEL.slope_share, abs=0.06)
+    assert found.fringe_share == pytest.approx(MODEL.fringe_share, abs=0.08)
     assert found.smooth_px <= 1.0
 
 
-def test_reference_fit_finds_wild_long_and_dark_parts() -> None:
-    """Errors of a tenth of the samples four times as large, a long part, darker is worse."""
+def test_reference_fit_finds_heavy_tails_long_and_dark_parts() -> None:
+    """Outer errors four times as large, a long part, darker is worse, pairs differ."""
     hard = MODEL.model_copy(
-        update={"wild_share": 0.12, "long_part": 0.5, "long_px": 45.0, "albedo": 0.2,
-                "albedo_power": 0.4}
+        update={"errors_px": tuple(law(s, 4.0) for s in SIGMA), "long_part": 0.5, "long_px": 45.0,
+                "matt": 0.2, "matt_power": 0.4, "pair_spread": 0.2}
     )  # fmt: skip
     rng = stream(1, "sample", 0, 0, "noise")
-    albedo = [0.05, 0.1, 0.4, 0.8] * 2
+    matt = [0.05, 0.1, 0.4, 0.8] * 6
     made = []
-    for k, tone in enumerate(albedo):
-        ideal = dome(k)
+    for k, tone in enumerate(matt):
+        ideal = dome(k % 8)
         grid = add_noise(ideal, 3, (603, 723), hard, rng=rng, strength=hard.strength(tone))
         made.append((grid.disparity, ideal))
-    found = fit_noise(made, 3, albedo)
-    assert found.albedo == pytest.approx(0.2, rel=1e-3)
-    assert found.albedo_power == pytest.approx(0.4, abs=0.08)
-    assert found.sigma_px[0] == pytest.approx(hard.sigma_px[0], rel=0.25)
-    assert found.wild_share * (found.wild_factor**2 - 1) == pytest.approx(0.12 * 15, rel=0.3)
+    found = fit_noise(made, 3, matt)
+    assert found.matt == pytest.approx(0.2, rel=1e-3)
+    assert found.matt_power == pytest.approx(0.4, abs=0.1)
+    assert found.pair_spread == pytest.approx(0.2, abs=0.08)
+    assert middle(found)[1][RINGS] == pytest.approx(SIGMA[RINGS], rel=0.2)
+    outer = np.array(found.errors_px)[RINGS, -1] / np.array(found.errors_px)[RINGS, 6]
+    assert outer == pytest.approx(4 * SCORES[-1] / SCORES[6], rel=0.3)
     assert found.long_part == pytest.approx(0.5, abs=0.15)
     assert found.correlation_px == pytest.approx(4.5, rel=0.2)
 
 
+def test_properties_errors_follow_their_law(pairs: Any) -> None:
+    """At the edge the surface sinks back; beyond it there is something, behind."""
+    measured, ideal = pairs[1]
+    number, residual = laws(ideal, 3), measured - continued(ideal)
+    assert np.nanmedian(residual[number == 0]) == pytest.approx(MEDIAN[0], abs=0.15)
+    outside = residual[(number == LAWS - 1) & np.isfinite(residual)]
+    assert len(outside) > 20
+    assert np.median(outside) == pytest.approx(MEDIAN[-1], abs=0.2)
+    assert np.nanstd(residual[number == RINGS]) < np.nanstd(residual[number == 1])
+
+
 def test_properties_strength() -> None:
-    dark = MODEL.model_copy(update={"albedo": 0.3, "albedo_power": 0.3})
+    dark = MODEL.model_copy(update={"matt": 0.3, "matt_power": 0.3})
     assert dark.strength(0.3) == 1.0
     assert dark.strength(0.05) > 1.5
-    assert dark.strength(0.0) < 3
+    assert dark.strength(0.0) < 12
     assert MODEL.strength(0.01) == 1.0
     grids = [
         add_noise(dome(0), 3, (603, 723), dark, rng=stream(2, "sample", 0, 0, "n"),
-                  strength=dark.strength(albedo))
-        for albedo in (0.6, 0.05)
+                  strength=dark.strength(matt))
+        for matt in (0.6, 0.05)
     ]  # fmt: skip
     errors = [np.nanstd(grid.disparity - dome(0)) for grid in grids]
     assert errors[1] > 1.8 * errors[0]
     assert grids[1].matched.sum() < grids[0].matched.sum()
+
+
+def test_properties_mattness() -> None:
+    skin, oily = Surface(albedo=0.3, roughness=0.5), Surface(albedo=0.3, roughness=0.35)
+    assert mattness(skin) > 3 * mattness(oily)
+    assert mattness(replace(skin, specular=0.0)) == 1.0
+    assert mattness(replace(skin, albedo=0.0)) == LEAST_MATT
+    model = MODEL.model_copy(update={"matt_power": 0.3})
+    ball = trimesh.creation.icosphere()
+    stand, hand = solid_from_mesh(ball, skin, kind="stand"), solid_from_mesh(ball, oily)
+    assert strength_on([stand, hand], model) == model.strength(mattness(oily))
+    assert strength_on([stand], model) == model.strength(mattness(skin))
 
 
 def test_properties_noise_is_one_error_within_a_window(pairs: Any) -> None:
@@ -105,8 +170,8 @@ def test_properties_same_stream_same_noise() -> None:
 
 
 def test_properties_black_skin_is_as_dark_as_can_be(pairs: Any) -> None:
-    albedo = [0.0, 0.3, 0.3]
-    assert fit_noise(pairs, 3, albedo) == fit_noise(pairs, 3, [DARKEST, 0.3, 0.3])
+    matt = [0.0, 0.3, 0.3]
+    assert fit_noise(pairs, 3, matt) == fit_noise(pairs, 3, [LEAST_MATT, 0.3, 0.3])
 
 
 def test_reference_bins() -> None:
@@ -123,10 +188,10 @@ def test_edge_bad_input() -> None:
         fit_noise([(nothing, nothing)], 3)
     ideal = dome(0)
     same = [(ideal + np.float32(0.01) * (k + 1), ideal) for k in range(2)]
-    for pairs, step, albedo, words in (
-        (same, 3, [0.1], r"albedo = \[0\.1\] for 2 pairs; give one"),
-        (same, 3, [0.1, -0.2], "reflectance 0..1 a pair"),
-        (same, 3, [np.nan, 0.2], "reflectance 0..1 a pair"),
+    for pairs, step, matt, words in (
+        (same, 3, [0.1], r"matt = \[0\.1\] for 2 pairs; give one"),
+        (same, 3, [0.1, -0.2], "mattness 0..1 a pair"),
+        (same, 3, [np.nan, 0.2], "mattness 0..1 a pair"),
         (same, 0, None, "step = 0; 1 to 16"),
         ([(ideal[:9, :9], ideal[:9, :9])], 3, None, "at least 32 x 32"),
         ([(ideal[:50], ideal)], 3, None, r"pair 0: grids of shapes \(50, 241\) and \(201, 241\)"),
@@ -134,7 +199,7 @@ def test_edge_bad_input() -> None:
         ([(ideal + np.float32(7), ideal)], 3, None, "median .* is 7 px"),
     ):
         with pytest.raises(ShapeError, match=words):
-            fit_noise(pairs, step, albedo)
+            fit_noise(pairs, step, matt)
     with pytest.raises(ShapeError, match="2 x 2 or more"):
         add_noise(ideal[:1, :1], 3, (3, 3), MODEL, rng=stream(0, "sample", 0, 0, "n"))
     with pytest.raises(ShapeError, match=r"default_rng\(0\)"):
