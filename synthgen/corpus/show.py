@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from synthgen.config import Config, load_config
 from synthgen.corpus import atomic
@@ -62,7 +63,9 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         found["scan"] = _scan(sample.scan)
         found["pictures"] += [str(path) for path in _scan_pictures(corpus, sample, sample.scan)]
     if remake:
-        found["remake"] = compare(corpus, sample)
+        # As the runner does: sums over several threads round otherwise.
+        with threadpool_limits(limits=1):
+            found["remake"] = compare(corpus, sample)
     return found
 
 
