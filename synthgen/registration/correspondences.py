@@ -21,7 +21,7 @@ class Pairs:
 
     Attributes
     ----------
-    triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
+    face : (m,) int64; triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
         The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
         triangle to the curved surface.
     squared : (m,) metres^2
@@ -29,6 +29,7 @@ class Pairs:
     rim : (m,) bool, closest point on an open boundary
     """
 
+    face: NDArray[np.int64]
     triangle: NDArray[np.int64]
     barycentric: Array
     shift: Array
@@ -76,7 +77,7 @@ def closest(
     _attributes(placed.vertices, placed.normals, triangle, point, normals,
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
-    return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
+    return Pairs(face, triangle, barycentric, shift, normal, squared, kept, rim)
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
-from synthgen.registration.terms import Term
+from synthgen.registration.terms import Sums, Term
 
 Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
@@ -55,6 +55,10 @@ class Energy:
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
             for block in term.blocks(trial.placed, match):
+                if isinstance(block, Sums):
+                    hessian += block.hessian
+                    gradient += block.gradient
+                    continue
                 if n >= SPARSE_FROM:
                     normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
                     continue
