@@ -17,7 +17,7 @@ from synthgen.registration.terms import GemanMcClure, MeshToScan, ScanToMesh, Te
 Array = NDArray[np.float64]
 MM = 1e-3
 # Stages of so many points take steps so small that matches walk on from the last ones.
-WALK_POINTS = 10_000
+WALK_POINTS = 3000
 
 
 @dataclass(frozen=True)
