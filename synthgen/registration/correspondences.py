@@ -58,7 +58,7 @@ def closest(
 ) -> Pairs:
     """Closest points on the mesh, with interpolated (Phong) normals.
 
-    ``start`` (m,) are vertices near the closest points, where they are known: a walk from there is
+    ``start`` (m,) are vertices near the closest points, -1 where not known: a walk from there is
     much cheaper than a search.
 
     ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
@@ -69,7 +69,10 @@ def closest(
     if start is None:
         squared, face, point = placed.nearest(points, neighbours)
     else:
-        squared, face, point = walked_to(s, placed.vertices, points, start)
+        squared, face, point = walked_to(s, placed.vertices, points, np.maximum(start, 0))
+        lost = np.flatnonzero(start < 0)
+        if len(lost):
+            squared[lost], face[lost], point[lost] = placed.nearest(points[lost], neighbours)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
