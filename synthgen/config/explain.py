@@ -18,7 +18,8 @@ def explain(error: ValidationError, schema: type[BaseModel], origins: dict[str, 
     schema : type
         The model that refused.
     origins : dict of str to str
-        Where each dotted key was set, for example ``"preset.yaml, line 7"`` or ``"--set"``.
+        Where each dotted key was set, for example ``"preset.yaml, line 7"`` or ``"--set"``; under
+        ``""`` what is said of keys that were not set.
     """
     json_schema = schema.model_json_schema()
     lines = [_fault(dict(detail), json_schema, origins) for detail in error.errors()]
@@ -54,7 +55,7 @@ def _origin(names: list[str], origins: dict[str, str]) -> str:
     for key in [*reversed(inside), *around]:
         if key in origins:
             return f"{origins[key]}: "
-    return ""
+    return f"{origins['']}: " if "" in origins else ""
 
 
 def _shown(value: Any) -> str:

@@ -44,12 +44,11 @@ def stream(seed: int, kind: Kind, ident: int, attempt: int, name: str) -> np.ran
     Raises
     ------
     ShapeError
-        If a number is negative.
+        If a number is negative or no integer.
     """
-    if min(seed, ident, attempt) < 0:
+    if not all(isinstance(n, int | np.integer) and n >= 0 for n in (seed, ident, attempt)):
         raise ShapeError(
-            f"stream key (seed={seed}, id={ident}, attempt={attempt}) has a negative number; "
-            "use integers >= 0"
+            f"stream key (seed={seed!r}, id={ident!r}, attempt={attempt!r}); use integers >= 0"
         )
     text = f"synthgen/1/{seed}/{kind}/{ident}/{attempt}/{name}"
     words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype="<u8")

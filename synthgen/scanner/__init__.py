@@ -7,7 +7,8 @@ from synthgen.scanner.files import save_scan
 from synthgen.scanner.load import list_rigs, load_rig
 from synthgen.scanner.pipeline import scan
 from synthgen.scanner.result import Scan, UnitScan
-from synthgen.scanner.rig import Rig, scaled
+from synthgen.scanner.rig import Rig
+from synthgen.scanner.scaling import scaled
 from synthgen.scanner.segment import CropPlane, is_green, segment
 from synthgen.scanner.settings import ScanSettings, settings_for
 from synthgen.scanner.stage import Effects, prepare

@@ -26,7 +26,8 @@ from synthgen.scanner.ideal import ideal_disparity
 from synthgen.scanner.match import DisparityGrid
 from synthgen.scanner.noise import add_noise, load_noise
 from synthgen.scanner.rectify import Rectified
-from synthgen.scanner.rig import Calibration, Rig, Unit, scale_camera
+from synthgen.scanner.rig import Calibration, Rig, Unit
+from synthgen.scanner.scaling import scale_camera
 from synthgen.scanner.stage import Effects, prepare
 from synthgen.scanner.subject import ScanScene, placed
 

@@ -30,7 +30,7 @@ from synthgen.scanner.camera import (
     speckle_look,
 )
 from synthgen.scanner.light import number
-from synthgen.scanner.rig import Role, Sensor, Unit
+from synthgen.scanner.rig import Rig, Role, Sensor, Unit
 from synthgen.scanner.sensor import Image, automatic_gain, counts, fixed_pattern, optical
 from synthgen.scanner.softlight import SoftLight, soft_light
 from synthgen.scanner.stage import Stage
@@ -195,16 +195,24 @@ def _soft(stage: Stage, slot: int, time_s: float) -> SoftLight:
 def _problem(
     stage: Stage, unit: Unit, time_s: float, seen: list[Image], left: NDArray[Any], sensor: Sensor
 ) -> str | None:
-    for picture, role in zip(seen, ROLES[:2], strict=True):
-        if picture.max() <= 1.5 * stage.rig.light.background:
-            return f"unit {unit.ident}: its {role} camera sees " + (
-                "only what is dark or smaller than a few pixels, or faces from behind: they must "
-                "run counter-clockwise seen from outside"
-                if _in_view(stage, unit.true.camera(role)).any()
-                else "nothing of the subject; move the subject into the working volume or aim the "
-                "unit at it"
-            )
-    return _dark(stage, unit, time_s) or _misexposed(unit, left, sensor)
+    unseen = [
+        role
+        for picture, role in zip(seen, ROLES[:2], strict=True)
+        if picture.max() <= 1.5 * stage.rig.light.background
+    ]
+    if not unseen:
+        return _dark(stage, unit, time_s) or _misexposed(unit, left, sensor)
+    if not _in_view(stage, unit.true.camera(unseen[0])).any():
+        what = (
+            "nothing of the subject; move the subject into the working volume or aim the unit at it"
+        )
+    else:
+        what = (
+            "only what is dark (its albedo, or out of all light) or smaller than a few pixels, or "
+            "faces from behind: they must run counter-clockwise seen from outside"
+        )
+    told = f"unit {unit.ident}: its {unseen[0]} camera sees {what}"
+    return unlit(stage.rig, unit, stage.rig.light.background) or told
 
 
 def _in_view(stage: Stage, camera: Camera) -> NDArray[np.bool_]:
@@ -218,19 +226,35 @@ def _dark(stage: Stage, unit: Unit, time_s: float) -> str | None:
     """Tell black speckle: projectors that give nothing against the ambient light."""
     camera = unit.true.left
     facing = np.einsum("vk,vk->v", stage.normals, camera.position - stage.vertices) > 0
-    inside = facing & _in_view(stage, camera)
-    light = _soft(stage, unit.slot, time_s).irradiance[inside]
+    light = _soft(stage, unit.slot, time_s).irradiance[facing & _in_view(stage, camera)]
     ambient = stage.rig.light.ambient
     strongest = float(np.quantile(light, 0.95)) if len(light) else 0.0
     if strongest > max(_BLACK * ambient, 1e-9):
         return None
-    names = [p.ident for p in stage.rig.lit_by(unit)]
+    return _black(stage.rig, unit, strongest)
+
+
+def unlit(rig: Rig, unit: Unit, least: float = 0.0) -> str | None:
+    """Tell projectors that give nothing against the ambient light wherever they shine.
+
+    What there is to know without a picture; :func:`expose` tells more. Irradiance that is not above
+    ``least`` is nothing, too.
+    """
+    strongest = sum(projector.irradiance for projector in rig.lit_by(unit))
+    if strongest > max(_BLACK * rig.light.ambient, least):
+        return None
+    return _black(rig, unit, strongest)
+
+
+def _black(rig: Rig, unit: Unit, strongest: float) -> str:
+    names = [p.ident for p in rig.lit_by(unit)]
     shown = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
     shown = shown or f"(none in its slot {unit.slot})"
     return (
         f"unit {unit.ident}: black speckle: projectors {shown} give "
-        f"{strongest:.2g} of irradiance against {ambient:g} of ambient light on what its left "
-        "camera sees; raise projector.irradiance (what arrives at the focus distance) or aim them"
+        f"{strongest:.2g} of irradiance against {rig.light.ambient:g} of ambient light on what its "
+        "left camera sees; raise projector.irradiance (what arrives at the focus distance) or aim "
+        "them"
     )
 
 

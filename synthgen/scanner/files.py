@@ -31,11 +31,15 @@ def save_scan(scan: Scan, path: str | Path) -> list[Path]:
     Raises
     ------
     ScanError
-        If the ending is another one, or the scan is empty.
+        If the ending is another one, there is no such folder, or the scan is empty.
     """
     target = Path(path)
     if target.suffix not in FORMATS:
         raise ScanError(f"cannot write {target.name}; endings are {', '.join(FORMATS)}")
+    if not target.parent.is_dir():
+        raise ScanError(
+            f"{target.name} is not written: there is no folder {target.parent}; make it"
+        )
     if not len(scan.faces):
         raise ScanError(f"{target.name} is not written: {scan.problem or 'the scan has no face'}")
     if target.suffix == ".obj":

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from synthgen.config import data_folder
 from synthgen.config.explain import explain
 from synthgen.config.reading import read_yaml
-from synthgen.errors import ConfigError, nearest
+from synthgen.errors import ConfigError, ShapeError, nearest
 from synthgen.geometry.cameras import Camera, camera_from_K
 from synthgen.geometry.transforms import look_at
 from synthgen.sampling.streams import stream
@@ -63,11 +63,17 @@ def load_rig(name: str | Path, seed: int = 0) -> Rig:
     Raises
     ------
     ConfigError
-        If there is no such rig, its file is wrong, ids overlap, or no calibration draw stays
-        within the epipolar limit.
+        If there is no such rig, its file is wrong, ids overlap, no calibration draw stays within
+        the epipolar limit, or the seed is negative or no integer.
     """
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigError(f"scanner seed {seed!r}; use an integer, 0 or more")
     path = _find(str(name))
-    return build_rig(path.stem, read_spec(path), seed, path.parent)
+    spec = read_spec(path)
+    try:
+        return build_rig(path.stem, spec, seed, path.parent)
+    except (ConfigError, ShapeError) as error:  # also distortions that no lens has
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def _digest(spec: RigSpec, folder: Path) -> str:
@@ -90,7 +96,8 @@ def _slide_path(spec: RigSpec, folder: Path) -> str:
 def read_spec(path: Path) -> RigSpec:
     """Read and validate one rig file."""
     document = read_yaml(path)
-    origins = {key: f"{path}, line {line}" for key, line in document.lines.items()}
+    origins = {"": str(path)}
+    origins |= {key: f"{path}, line {line}" for key, line in document.lines.items()}
     try:
         return RigSpec.model_validate_json(json.dumps(document.content))
     except ValidationError as error:

@@ -24,14 +24,14 @@ from synthgen.config import data_folder
 from synthgen.config.explain import explain
 from synthgen.config.reading import read_yaml
 from synthgen.config.sections import Section
-from synthgen.errors import ConfigError, nearest
+from synthgen.errors import ConfigError, ShapeError, nearest
 from synthgen.scanner.match import DisparityGrid
 
 Grid = NDArray[np.float32]
 SLOPES = (0.1, 0.2, 0.3, 0.45, 0.7)
 """Upper ends of the bins of slope (pixels of disparity per pixel); the last bin is open."""
 
-_DARKEST = 0.02
+DARKEST = 0.02
 # Holes hang together over this many times the way of the errors.
 _HOLES = 2
 _Positive = Annotated[float, Field(ge=0.0, le=20.0)]
@@ -79,7 +79,7 @@ class NoiseModel(Section):
 
     def strength(self, albedo: float) -> float:
         """Return how many times larger the errors are on a surface of some grey reflectance."""
-        return float((max(albedo, _DARKEST) / self.albedo) ** -self.albedo_power)
+        return float((max(albedo, DARKEST) / self.albedo) ** -self.albedo_power)
 
 
 def load_noise(name: str) -> NoiseModel:
@@ -99,7 +99,8 @@ def load_noise(name: str) -> NoiseModel:
             "with benchmarks/scanner_noise.py, or use level full or half"
         )
     document = read_yaml(known[name])
-    origins = {key: f"{known[name]}, line {line}" for key, line in document.lines.items()}
+    origins = {"": str(known[name])}
+    origins |= {key: f"{known[name]}, line {line}" for key, line in document.lines.items()}
     try:
         return NoiseModel.model_validate_json(json.dumps(document.content))
     except ValidationError as error:
@@ -114,7 +115,16 @@ def add_noise(
 
     ``step`` and ``shape`` describe the grid and the rectified picture; ``strength`` is
     :meth:`NoiseModel.strength` of the surface.
+
+    Raises
+    ------
+    ShapeError
+        If ``ideal`` is no grid of 2 x 2 samples or more, or ``rng`` no generator.
     """
+    if ideal.ndim != 2 or min(ideal.shape) < 2:
+        raise ShapeError(f"ideal disparities have shape {ideal.shape}; give (h, w), 2 x 2 or more")
+    if not isinstance(rng, np.random.Generator):
+        raise ShapeError(f"rng = {rng!r}; give a generator: numpy.random.default_rng(0)")
     known = np.isfinite(ideal)
     sigma = strength * np.array(model.sigma_px)[slope_bin(ideal, step)]
     near = model.correlation_px / step
@@ -151,6 +161,7 @@ def slope_bin(disparity: Grid, step: int) -> NDArray[np.int64]:
 def edge_bin(known: NDArray[np.bool_], bins: int) -> NDArray[np.int64]:
     """Distance (h, w) to the nearest unknown sample in samples, less one, at most ``bins - 1``."""
     away = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_C, 3)
+    away = np.minimum(away, bins)  # infinite where nothing is unknown
     return np.clip(np.rint(away).astype(np.int64) - 1, 0, bins - 1)
 
 

@@ -11,8 +11,18 @@ from scipy.optimize import least_squares
 from scipy.special import erfc
 
 from synthgen.errors import ShapeError
-from synthgen.scanner.noise import SLOPES, Grid, NoiseModel, edge_bin, slope_bin, smoothed
+from synthgen.scanner.noise import (
+    DARKEST,
+    SLOPES,
+    Grid,
+    NoiseModel,
+    edge_bin,
+    slope_bin,
+    smoothed,
+)
+from synthgen.scanner.settings import MAX_STEP
 
+LEAST_EDGE = 32
 _EDGE_BINS, _INNER, _FROM_HOLES, _LAGS, _LARGEST_PX = 6, 3, 2, 4, 2.0
 # Multiples of the robust deviation beyond which errors are counted to tell wild ones.
 _BEYOND = (0.6745, 1.5, 2.5, 4.0, 6.0)
@@ -33,16 +43,16 @@ def fit_noise(
     step : int
         Pixels between their samples.
     albedo : sequence of float, optional
-        Grey reflectance of what each pair saw; without it errors do not depend on it.
+        Grey reflectance 0..1 of what each pair saw; without it errors do not depend on it.
 
     Raises
     ------
     ShapeError
-        If fewer than 1000 samples are matched.
+        If fewer than 1000 samples are matched, grids differ in size or are smaller than 32 x 32,
+        there is not one reflectance a pair, or what was measured has no errors or nothing but
+        errors.
     """
-    count = sum(int((np.isfinite(m) & np.isfinite(i)).sum()) for m, i in pairs)
-    if count < 1000:
-        raise ShapeError(f"{count} matched samples are too few to fit a noise model; give 1000")
+    tones = _checked(pairs, step, albedo)
     smooth = min(np.arange(0.0, 2.6, 0.25), key=lambda s: _spread(pairs, float(s)))
     residuals = [measured - smoothed(ideal, float(smooth)) for measured, ideal in pairs]
     # Near edges and holes samples are missing rather than noisy; filters remove what is left.
@@ -52,7 +62,6 @@ def fit_noise(
         for measured, ideal in pairs
     ]
     residuals = [np.where(i, r, np.nan) for i, r in zip(inner, residuals, strict=True)]
-    tones = np.ones(len(pairs)) if albedo is None else np.array(albedo, np.float64)
     bins = [slope_bin(ideal, step) for _, ideal in pairs]
     even = _sigma_per_bin(residuals, bins)  # steep samples are the first to be lost on dark skin
     reference, power = _tone([r / even[b] for r, b in zip(residuals, bins, strict=True)], tones)
@@ -79,6 +88,38 @@ def fit_noise(
         albedo=round(reference, 3),
         albedo_power=round(power, 3),
     )
+
+
+def _checked(
+    pairs: Sequence[tuple[Grid, Grid]], step: int, albedo: Sequence[float] | None
+) -> NDArray[np.float64]:
+    """Refuse what cannot be fitted; return the pairs' reflectance."""
+    if not 1 <= step <= MAX_STEP:
+        raise ShapeError(f"step = {step}; 1 to {MAX_STEP} pixels are possible")
+    for k, (measured, ideal) in enumerate(pairs):
+        if measured.shape != ideal.shape or ideal.ndim != 2 or min(ideal.shape) < LEAST_EDGE:
+            raise ShapeError(
+                f"pair {k}: grids of shapes {measured.shape} and {ideal.shape}; give two equal "
+                f"(h, w) of at least {LEAST_EDGE} x {LEAST_EDGE} samples"
+            )
+    both = [(m - i)[np.isfinite(m) & np.isfinite(i)] for m, i in pairs]
+    apart = np.concatenate([np.zeros(0, np.float32), *both])
+    if len(apart) < 1000:
+        raise ShapeError(
+            f"{len(apart)} matched samples are too few to fit a noise model; give 1000"
+        )
+    typical = float(np.median(np.abs(apart)))
+    if not 0 < typical < _LARGEST_PX:
+        raise ShapeError(
+            f"the median of |measured - ideal| is {typical:.3g} px; above 0 and below "
+            f"{_LARGEST_PX:g} is possible: are these grids of the same pair"
+        )
+    tones = np.ones(len(pairs)) if albedo is None else np.array(albedo, np.float64)
+    if tones.shape != (len(pairs),) or not ((tones >= 0) & (tones <= 1)).all():
+        raise ShapeError(
+            f"albedo = {tones.tolist()} for {len(pairs)} pairs; give one reflectance 0..1 a pair"
+        )
+    return np.maximum(tones, DARKEST)
 
 
 def _tone(residuals: list[NDArray[Any]], albedo: NDArray[np.float64]) -> tuple[float, float]:

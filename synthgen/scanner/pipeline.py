@@ -15,7 +15,7 @@ from synthgen.sampling.streams import stream
 from synthgen.scanner.atlas import build_atlas
 from synthgen.scanner.census import match_census
 from synthgen.scanner.colour import ColourView, colour_vertices
-from synthgen.scanner.exposure import Exposure, expose, unit_time
+from synthgen.scanner.exposure import Exposure, expose, unit_time, unlit
 from synthgen.scanner.ideal import ideal_disparity
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.match import DisparityGrid, lit, match
@@ -25,9 +25,10 @@ from synthgen.scanner.range_grid import RangeGrid, range_grid
 from synthgen.scanner.rectify import Rectified, rectify, rectify_images
 from synthgen.scanner.report import Report, picture_report, scan_report, unit_report
 from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
-from synthgen.scanner.rig import Rig, Unit, scaled
+from synthgen.scanner.rig import Rig, Unit
 from synthgen.scanner.rows import find_row_offset
-from synthgen.scanner.settings import ScanSettings, check_level, settings_for
+from synthgen.scanner.scaling import scaled
+from synthgen.scanner.settings import ScanSettings, check_level, check_settings, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
 from synthgen.scanner.support import cut_unsupported
@@ -90,10 +91,12 @@ def scan(
     ShapeError
         If what is given is no mesh of triangles, or ``rng`` no generator.
     ConfigError
-        If there is no such level, or the samples per pixel are no square number.
+        If there is no such level, the samples per pixel are no square number, or a setting is out
+        of range.
     """
     check_level(level)
     chosen = settings or settings_for(rig, level)
+    check_settings(chosen)
     scene = scene_of(mesh_or_scene)
     used = scaled(rig, 0.5) if level == "half" else rig
     stage = prepare(scene, used, rng=rng, effects=effects or Effects())
@@ -156,7 +159,7 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
     """Let one unit measure the scene; what goes wrong is told in the result's ``problem``."""
     pair = rectify(unit.nominal.left, unit.nominal.right)
     if level == "model":
-        got = Matched(None, _modelled(stage, unit, pair, settings), None, {})
+        got = _modelled(stage, unit, pair, settings)
     else:
         got = _matched(stage.rig, pair, expose(stage, unit, spp=settings.spp), settings)
     grid, problem, true = got.grid, got.problem, None
@@ -253,14 +256,16 @@ def _nothing(shape: tuple[int, ...], step: int) -> DisparityGrid:
     return DisparityGrid(blank, blank, np.zeros_like(blank), step, (shape[0], shape[1]))
 
 
-def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings) -> DisparityGrid:
+def _modelled(stage: Stage, unit: Unit, pair: Rectified, settings: ScanSettings) -> Matched:
     """Ideal disparities with the noise of the rig's matcher."""
-    step = settings.match.step
+    step, problem = settings.match.step, unlit(stage.rig, unit)
+    shape = pair.camera.height, pair.camera.width
+    if problem is not None:
+        return Matched(None, _nothing(shape, step), problem, {})
     ideal = ideal_disparity(stage, unit, pair, step, time_s=unit_time(stage, unit))
     model = load_noise("consumer" if stage.rig.reconstruction.matcher == "census" else "hand5")
-    shape = pair.camera.height, pair.camera.width
     rng = stream(stage.key, "sample", unit.index, 0, "matching")
     solids = [part.solid for part in stage.mesh.parts]
     seen = next((solid for solid in solids if solid.kind == "subject"), solids[0])
     strength = model.strength(seen.surface.albedo)
-    return add_noise(ideal, step, shape, model, rng=rng, strength=strength)
+    return Matched(None, add_noise(ideal, step, shape, model, rng=rng, strength=strength), None, {})

@@ -25,7 +25,7 @@ def check_placement(scene: ScanScene, rig: Rig) -> None:
         raise ScanError(f"rig {rig.name}: the scene holds no solid; give at least one mesh")
     for name, position in _devices(rig):
         for k, solid in enumerate(scene.solids):
-            if _may_hold(solid, position) and winding_number(solid, position) > 0.5:
+            if _may_hold(solid, position) and _holds(solid, position):
                 raise ScanError(
                     f"rig {rig.name}: {name} at {_point(position)} m is inside solid {k}; move the "
                     "subject to the centre of the working volume, or check that it is in metres"
@@ -66,8 +66,16 @@ def _may_hold(solid: Solid, point: Array) -> bool:
     return bool((point >= low).all() and (point <= high).all())
 
 
+def _holds(solid: Solid, point: Array) -> bool:
+    # Walls of a room may face the devices inside it; a subject's faces that do are turned round.
+    turns = winding_number(solid, point)
+    return (abs(turns) if solid.kind == "subject" else turns) > 0.5
+
+
 def winding_number(solid: Solid, point: Array) -> float:
     """Return the winding number of a solid about a point: 1 inside, 0 outside, between at holes.
+
+    -1 is inside of faces that run the wrong way.
 
     The sum of the triangles' solid angles over 4 pi (van Oosterom and Strackee 1983).
     """

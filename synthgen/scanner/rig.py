@@ -18,7 +18,7 @@ from synthgen.render.readout import Readout
 Vec3 = tuple[float, float, float]
 Role = Literal["left", "right", "colour"]
 PatternKind = Literal["speckle", "dots", "laser", "image"]
-MAX_PROJECTORS = 64
+MAX_PROJECTORS, MIN_PIXELS = 64, 16
 
 
 @dataclass(frozen=True)
@@ -351,42 +351,6 @@ class Rig:
         return tuple(p for p in self.projectors if p.slot == unit.slot)
 
 
-def scaled(rig: Rig, factor: float) -> Rig:
-    """Return the rig with every camera at ``factor`` times its pixels per edge (binned sensor).
-
-    Slides stay as they are; the calibration draw stays the same scanner.
-    """
-    units = tuple(
-        replace(u, nominal=_scale_all(u.nominal, factor), true=_scale_all(u.true, factor))
-        for u in rig.units
-    )
-    return replace(rig, units=units, epipolar_px=tuple(e * factor for e in rig.epipolar_px))
-
-
 def only(rig: Rig, idents: Iterable[str]) -> Rig:
     """Return the rig with only some of its units; projectors and streams stay as they were."""
     return replace(rig, units=tuple(rig.unit(ident) for ident in idents))
-
-
-def _scale_all(calibration: Calibration, factor: float) -> Calibration:
-    colour = calibration.colour
-    return Calibration(
-        scale_camera(calibration.left, factor),
-        scale_camera(calibration.right, factor),
-        None if colour is None else scale_camera(colour, factor),
-    )
-
-
-def scale_camera(camera: Camera, factor: float) -> Camera:
-    """Return the camera with ``factor`` times its pixels per edge, seeing the same field."""
-    width, height = round(camera.width * factor), round(camera.height * factor)
-    sx, sy = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * sx,
-        fy=camera.fy * sy,
-        cx=(camera.cx + 0.5) * sx - 0.5,
-        cy=(camera.cy + 0.5) * sy - 0.5,
-    )

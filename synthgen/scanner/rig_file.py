@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from synthgen.config.sections import Section
+from synthgen.scanner.rig import MIN_PIXELS
 
 MAX_ROWS = 8
 _Length = Annotated[float, Field(gt=0.0, le=20.0)]
@@ -24,10 +25,10 @@ _Ident = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
 class CameraSpec(Section):
     """One kind of camera."""
 
-    width: int = Field(ge=16, le=8192)
+    width: int = Field(ge=MIN_PIXELS, le=8192)
     """Pixels."""
 
-    height: int = Field(ge=16, le=8192)
+    height: int = Field(ge=MIN_PIXELS, le=8192)
     """Pixels."""
 
     gsd_m: float = Field(gt=0.0, le=0.1)

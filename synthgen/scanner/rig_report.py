@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import to_camera
 from synthgen.scanner.calibration import in_frame, volume_points
+from synthgen.scanner.exposure import unlit
 from synthgen.scanner.rig import Rig, Unit
 
 
@@ -52,6 +53,7 @@ def _unit(rig: Rig, unit: Unit, points: NDArray[Any]) -> dict[str, Any]:
         "baseline_m": baseline,
         "slot": unit.slot,
         "lit_by": [p.ident for p in rig.lit_by(unit)],
+        "unlit": unlit(rig, unit),
         "epipolar_rms_px": rig.epipolar_px[unit.index],
         "depth_m": None,
         "gsd_m": None,
@@ -78,8 +80,8 @@ def problems(report: dict[str, Any]) -> list[str]:
             found.append(
                 f"unit {unit['unit']} sees nothing of the working volume with both cameras"
             )
-        if not unit["lit_by"]:
-            found.append(f"unit {unit['unit']}: no projector is on in its slot {unit['slot']}")
+        if unit["unlit"]:
+            found.append(unit["unlit"])
     if report["seen_by_one"] == 0:
         found.append("no unit sees the working volume")
     return found

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from synthgen.errors import ConfigError
 from synthgen.scanner.dic_reference import DicSettings
 from synthgen.scanner.match import BEST, MatchSettings
@@ -14,7 +16,7 @@ from synthgen.scanner.rig import Rig
 from synthgen.scanner.tsdf import FusionSettings
 
 Preset = Literal["default", "best"]
-_HALF_VOXEL = 1.25
+_HALF_VOXEL, MAX_STEP = 1.25, 16
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,17 @@ def check_level(level: str) -> None:
     """Refuse what is no level; raises ConfigError."""
     if level not in ("full", "half", "model"):
         raise ConfigError(f"level {level!r}; levels are full, half, model")
+
+
+def check_settings(settings: ScanSettings) -> None:
+    """Refuse numbers that reconstruction cannot work with; raises ConfigError naming the value."""
+    rules = (
+        ("match.step", settings.match.step, 1, MAX_STEP),
+        ("fusion.voxel_m", settings.fusion.voxel_m, 1e-5, 0.1),
+        ("fusion.truncation", settings.fusion.truncation, 1.0, 20.0),
+        ("fusion.least_faces", settings.fusion.least_faces, 1, np.inf),
+        ("fill_voxels", settings.fill_voxels, 0.0, 100.0),
+    )
+    for name, value, low, high in rules:
+        if not low <= value <= high:
+            raise ConfigError(f"{name} = {value}; {low:g} to {high:g} is possible")

@@ -101,24 +101,57 @@ def solid_from_mesh(mesh: Any, surface: Surface = SKIN, *, smooth: bool = True,
     """
     vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
-        raise ShapeError(
-            f"a scan needs vertices (V, 3) and triangles (F, 3), got {vertices.shape} and "
-            f"{faces.shape}; triangulate the mesh"
-        )
-    if not len(faces) or not np.isfinite(vertices).all():
-        raise ShapeError(f"the mesh has {len(faces)} faces or vertices that are not finite numbers")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ShapeError(
-            f"faces name vertices {faces.min()}..{faces.max()}; there are {len(vertices)}"
-        )
+    _check_mesh("the mesh", vertices, faces)
     return Solid(vertices, faces, vertex_normals(vertices, faces) if smooth else None,
                  surface, **rest)  # fmt: skip
 
 
+def _check_mesh(what: str, vertices: Array, faces: NDArray[np.int64]) -> None:
+    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        raise ShapeError(
+            f"a scan needs vertices (V, 3) and triangles (F, 3); {what} has {vertices.shape} and "
+            f"{faces.shape}; triangulate the mesh"
+        )
+    if not len(faces):
+        raise ShapeError(f"{what} has no faces; there is nothing to scan")
+    wrong = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(wrong):
+        raise ShapeError(
+            f"{what}: vertex {wrong[0]} is {vertices[wrong[0]].tolist()}; give finite metres"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ShapeError(
+            f"{what}: faces name vertices {faces.min()}..{faces.max()}; there are {len(vertices)}"
+        )
+
+
+def _check_surface(what: str, surface: Surface) -> None:
+    shares = {"albedo": (surface.albedo,), "rgb": surface.rgb, "specular": (surface.specular,),
+              "roughness": (surface.roughness,), "subsurface": (surface.subsurface,)}  # fmt: skip
+    for name, values in shares.items():
+        if not all(0.0 <= value <= 1.0 for value in values):
+            raise ShapeError(
+                f"{what}: surface.{name} = {getattr(surface, name)}; 0 to 1 is possible"
+            )
+    if not 0.0 <= surface.subsurface_m < np.inf:
+        raise ShapeError(
+            f"{what}: surface.subsurface_m = {surface.subsurface_m}; give metres, 0 or more"
+        )
+
+
 def scene_of(mesh_or_scene: Any) -> ScanScene:
-    """Return a scene: as it is, or one solid with the default skin made of a mesh."""
+    """Return a scene: as it is, or one solid with the default skin made of a mesh.
+
+    Raises
+    ------
+    ShapeError
+        If a solid is empty, not triangles or not finite, its faces name missing vertices, or its
+        surface has a value out of range; the message names it.
+    """
     if isinstance(mesh_or_scene, ScanScene):
+        for k, solid in enumerate(mesh_or_scene.solids):
+            _check_mesh(f"solid {k}", solid.vertices, solid.faces)
+            _check_surface(f"solid {k}", solid.surface)
         return mesh_or_scene
     if hasattr(mesh_or_scene, "vertices") and hasattr(mesh_or_scene, "faces"):
         return ScanScene((solid_from_mesh(mesh_or_scene),))

@@ -100,7 +100,9 @@ def fuse(grids: Sequence[RangeGrid], settings: FusionSettings) -> Field:
     first = np.floor(low / edge)  # a fixed lattice: equal scans give equal voxels
     origin = first * edge
     bricks = _touched(points, origin, edge, reach)
-    voxels = float(len(bricks)) * BRICK**3
+    _, rows, columns = bricks.max(axis=0) + 1.0
+    # Near the surface, or in the two layers of bricks that are taken out at once.
+    voxels = BRICK**3 * max(float(len(bricks)), 2 * rows * columns)
     if voxels > MOST_VOXELS:
         raise ScanError(
             f"{settings.voxel_m} m voxels: {voxels:.3g} of them lie near the measured surface, at "

@@ -112,4 +112,14 @@ def test_edge_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blind.write_text(text.replace("distance_m: 0.6}\n  right", "distance_m: 0.6, slot: 3, "
                                   "target_m: [3, 0, 0]}\n  right"))  # fmt: skip
     assert main(["doctor", "rig", str(blind), "--out", str(tmp_path / "b.png")]) == 1
-    assert "unit front sees nothing of the working volume" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "unit front sees nothing of the working volume" in told
+    assert "unit front: black speckle: projectors front/0 give" not in told
+    dark = tmp_path / "dark.yaml"
+    dark.write_text(text.replace("irradiance: 0.5", "irradiance: 0.0001"))
+    assert main(["doctor", "rig", str(dark), "--out", str(tmp_path / "d.png")]) == 1
+    assert "unit right: black speckle: projectors front/0, right/0 give" in capsys.readouterr().out
+    wide = tmp_path / "wide.yaml"
+    wide.write_text(text.replace("distance_m: 0.6}", "distance_m: 0.01}"))
+    assert main(["doctor", "rig", str(wide)]) == 2
+    assert "wide.yaml: distortion" in capsys.readouterr().err

@@ -15,7 +15,8 @@ from synthgen.errors import ConfigError
 from synthgen.geometry.cameras import project
 from synthgen.scanner import list_rigs, load_rig
 from synthgen.scanner.calibration import epipolar_rms_px
-from synthgen.scanner.rig import only, scaled
+from synthgen.scanner.rig import only
+from synthgen.scanner.scaling import scaled
 
 MINI = list_rigs()["mini"].read_text(encoding="utf-8")
 # What the papers give: pairs, colour cameras, projectors, pixels (None where they do not say).
@@ -96,13 +97,15 @@ FAULTS = {
                               "did you mean 'elevation_deg'"),
     "unit twice": (lambda t: t.replace("  right:", "  front:"), "given twice"),
     "ids overlap": (lambda t: t + "projectors:\n  front: {azimuth_deg: 0, elevation_deg: 0, "
-                    "distance_m: 1}\n", "ids must not overlap"),
-    "missing": (lambda t: t.replace("  baseline_m: 0.12\n", ""), "pair.baseline_m is missing"),
+                    "distance_m: 1}\n", r"mine\.yaml: .*ids must not overlap"),
+    "missing": (lambda t: t.replace("  baseline_m: 0.12\n", ""),
+                r"mine\.yaml.*: pair\.baseline_m is missing"),
     "range": (lambda t: t.replace("baseline_m: 0.12", "baseline_m: -1"), "above 0"),
     "no light": (lambda t: t.replace("[[0, 0.12, 0]]", "[]"), "has 0 projectors"),
     "fine dots": (lambda t: t.replace("dot_m: 0.0016", "dot_m: 0.00001"), "larger dots"),
     "no picture": (lambda t: t.replace("kind: speckle", "kind: image"), "`image` names a file"),
     "no draw": (lambda t: t + "error: {translation_m: 0.02}\n", "none of 200 calibration draws"),
+    "empty": (lambda _: "", r"mine\.yaml: .* expected keys: summary"),
     "not YAML": (lambda _: "a: [", "unreadable YAML"),
 }  # fmt: skip
 
@@ -123,6 +126,9 @@ def test_edge_wrong_files(fault: str, tmp_path: Path) -> None:
 def test_edge_unknown_rig() -> None:
     with pytest.raises(ConfigError, match="did you mean 'hand5'"):
         load_rig("hnd5")
+    for seed in ("0", 1.5, -1):
+        with pytest.raises(ConfigError, match=rf"scanner seed {seed!r}; use an integer"):
+            load_rig("mini", seed)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="no rig file"):
         load_rig("nowhere/rig.yaml")
 

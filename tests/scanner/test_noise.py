@@ -9,7 +9,7 @@ import pytest
 
 from synthgen.errors import ConfigError, ShapeError
 from synthgen.sampling.streams import stream
-from synthgen.scanner.noise import NoiseModel, add_noise, edge_bin, load_noise, slope_bin
+from synthgen.scanner.noise import DARKEST, NoiseModel, add_noise, edge_bin, load_noise, slope_bin
 from synthgen.scanner.noise_fit import fit_noise
 
 MODEL = NoiseModel(
@@ -104,6 +104,11 @@ def test_properties_same_stream_same_noise() -> None:
     assert made[0].tobytes() == made[1].tobytes()
 
 
+def test_properties_black_skin_is_as_dark_as_can_be(pairs: Any) -> None:
+    albedo = [0.0, 0.3, 0.3]
+    assert fit_noise(pairs, 3, albedo) == fit_noise(pairs, 3, [DARKEST, 0.3, 0.3])
+
+
 def test_reference_bins() -> None:
     known = np.ones((9, 9), bool)
     known[:, 0] = False
@@ -113,8 +118,26 @@ def test_reference_bins() -> None:
 
 
 def test_edge_bad_input() -> None:
-    nothing = np.full((9, 9), np.nan, np.float32)
+    nothing = np.full((40, 40), np.nan, np.float32)
     with pytest.raises(ShapeError, match="too few"):
         fit_noise([(nothing, nothing)], 3)
+    ideal = dome(0)
+    same = [(ideal + np.float32(0.01) * (k + 1), ideal) for k in range(2)]
+    for pairs, step, albedo, words in (
+        (same, 3, [0.1], r"albedo = \[0\.1\] for 2 pairs; give one"),
+        (same, 3, [0.1, -0.2], "reflectance 0..1 a pair"),
+        (same, 3, [np.nan, 0.2], "reflectance 0..1 a pair"),
+        (same, 0, None, "step = 0; 1 to 16"),
+        ([(ideal[:9, :9], ideal[:9, :9])], 3, None, "at least 32 x 32"),
+        ([(ideal[:50], ideal)], 3, None, r"pair 0: grids of shapes \(50, 241\) and \(201, 241\)"),
+        ([(ideal, ideal)], 3, None, "median .* is 0 px"),
+        ([(ideal + np.float32(7), ideal)], 3, None, "median .* is 7 px"),
+    ):
+        with pytest.raises(ShapeError, match=words):
+            fit_noise(pairs, step, albedo)
+    with pytest.raises(ShapeError, match="2 x 2 or more"):
+        add_noise(ideal[:1, :1], 3, (3, 3), MODEL, rng=stream(0, "sample", 0, 0, "n"))
+    with pytest.raises(ShapeError, match=r"default_rng\(0\)"):
+        add_noise(ideal, 3, (603, 723), MODEL, rng=0)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="no noise model"):
         load_noise("hnd5")

@@ -13,7 +13,16 @@ import trimesh
 
 from synthgen.errors import ConfigError, ScanError, ShapeError
 from synthgen.sampling.streams import stream
-from synthgen.scanner import Scan, load_rig, scan, settings_for
+from synthgen.scanner import (
+    Scan,
+    ScanScene,
+    Surface,
+    load_rig,
+    scaled,
+    scan,
+    settings_for,
+    solid_from_mesh,
+)
 from synthgen.scanner.evaluate import (
     coverage,
     pair_figures,
@@ -125,6 +134,18 @@ def test_edge_dark_projectors_are_told_by_unit() -> None:
     assert all(unit.problem for unit in found.units)
     assert found.problem.count("unit front") == 1
     assert "projector front/0 lights nothing of the subject" in found.report["notes"]
+    unpictured = scanned(dark, "model")
+    assert "unit right: black speckle: projectors front/0, right/0" in str(unpictured.problem)
+
+
+def test_edge_the_inverse_square_trap_is_told() -> None:
+    """Irradiance given as if it did not fall with the distance; in the dark it leaves black."""
+    rig = load_rig("mini")
+    weak = replace(rig, projectors=tuple(replace(p, irradiance=1e-7) for p in rig.projectors))
+    for ambient in (0.05, 0.0):
+        found = scanned(replace(weak, light=replace(rig.light, ambient=ambient)), colour=False)
+        for unit in ("front", "right"):
+            assert re.search(rf"unit {unit}: black speckle: .* give [\d.]+e-07", str(found.problem))
 
 
 def test_edge_what_is_wrong_with_the_pictures_is_said() -> None:
@@ -151,6 +172,40 @@ def test_edge_wrong_use() -> None:
              settings=settings_for(rig))  # fmt: skip
     with pytest.raises(ScanError, match=r"left camera .* inside solid 0.* in metres"):
         scanned(rig, mesh=BALL.copy().apply_scale(1000))
+    around = BALL.vertices + rig.units[0].true.left.position
+    with pytest.raises(ScanError, match=r"unit front: the left camera .* inside solid 0"):
+        scanned(rig, mesh=trimesh.util.concatenate(
+            [BALL, trimesh.Trimesh(around, BALL.faces[:, ::-1], process=False)]))  # fmt: skip
+
+
+def test_edge_numbers_that_are_out_of_range() -> None:
+    rig = load_rig("mini")
+    usual = settings_for(rig)
+    with pytest.raises(ConfigError, match=r"match\.step = 500; 1 to 16"):
+        scanned(rig, match=replace(usual.match, step=500))
+    with pytest.raises(ConfigError, match=r"fusion\.voxel_m = 0\.0; 1e-05 to 0\.1"):
+        scanned(rig, fusion=replace(usual.fusion, voxel_m=0.0))
+    with pytest.raises(ConfigError, match=r"scaled by 0\.01: 192 pixels would be 1\.92"):
+        scaled(rig, 0.01)
+    with pytest.raises(ConfigError, match="a camera needs 16"):
+        scaled(rig, -1)
+
+
+def test_edge_a_scene_that_is_no_scene() -> None:
+    rig, solid = load_rig("mini"), solid_from_mesh(BALL)
+    for change, words in {
+        "albedo": (Surface(albedo=np.nan), r"solid 1: surface\.albedo = nan; 0 to 1"),
+        "rgb": (Surface(rgb=(0.5, 2.0, 0.5)), r"surface\.rgb = \(0\.5, 2\.0, 0\.5\)"),
+        "subsurface_m": (Surface(subsurface_m=-1.0), r"surface\.subsurface_m = -1"),
+    }.values():
+        with pytest.raises(ShapeError, match=words):
+            scanned(rig, mesh=ScanScene((solid, replace(solid, surface=change))))
+    with pytest.raises(ShapeError, match=r"solid 0: vertex 3 is \[0\.0, inf, 0\.0\]"):
+        torn = solid.vertices.copy()
+        torn[3] = 0, np.inf, 0
+        scanned(rig, mesh=ScanScene((replace(solid, vertices=torn),)))
+    with pytest.raises(ShapeError, match="no faces; there is nothing to scan"):
+        scanned(rig, mesh=trimesh.Trimesh())
 
 
 def test_edge_too_little_for_a_surface_is_told_by_unit() -> None:
