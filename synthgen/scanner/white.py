@@ -194,7 +194,10 @@ def _look(stage: Stage, white: WhiteLight) -> Look:
     """Return how a colour camera sees the scene."""
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
-    centres = mi.Float(white.panels.astype(np.float32).ravel())
+    # An even surround without panels has no glint, but the loop still needs something to read.
+    centres = mi.Float(
+        (white.panels if len(white.panels) else np.ones((1, 3))).astype(np.float32).ravel()
+    )
     count, power = dr.opaque(mi.UInt32, len(white.panels)), number(white.power)
 
     def look(rays: Rays, shift: Any, active: Any) -> tuple[Any, ...]:
