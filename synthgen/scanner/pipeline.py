@@ -164,7 +164,7 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
         true = ideal_disparity(stage, unit, pair, grid.step, time_s=unit_time(stage, unit))
     view = None
     if settings.colour and unit.nominal.colour is not None:
-        view = ColourView(unit.nominal.colour, expose_colour(stage, unit))
+        view = ColourView(unit.nominal.colour, expose_colour(stage, unit), stage.rig.glass)
     points = None
     if grid.matched.any():
         points = range_grid(pair, grid, settings.grid, stage.rig.glass)
