@@ -26,7 +26,7 @@ from synthgen.scanner.rectify import Rectified, rectify, rectify_images
 from synthgen.scanner.report import Report, picture_report, scan_report, unit_report
 from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
 from synthgen.scanner.rig import Rig, Unit, scaled
-from synthgen.scanner.rows import find_row_offset
+from synthgen.scanner.rows import find_row_offset, refracted_rows
 from synthgen.scanner.settings import ScanSettings, check_level, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
@@ -206,7 +206,9 @@ def _matched(rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings) 
     """Rectify and match one exposure."""
     scale = 255 / rig.grey.full_scale
     raw = shot.left * np.float32(scale), shot.right * np.float32(scale)
-    left, right = rectify_images(pair, raw)
+    known = refracted_rows(pair, rig.glass, rig.volume_m)
+    lower = None if known is None else known.over(raw[0].shape)
+    left, right = rectify_images(pair, raw, lower)
     bounds, problem = disparity_bounds(rig, pair), shot.problem
     grid = _nothing(left.shape, settings.match.step)
     textured, rows = None, None
@@ -217,7 +219,9 @@ def _matched(rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings) 
             else:
                 rows = find_row_offset(left, right, bounds, settings.match)
                 if rows is not None:
-                    left, right = rectify_images(pair, raw, rows.over(left.shape))
+                    found = rows.over(left.shape)
+                    both = found if lower is None else found + lower
+                    left, right = rectify_images(pair, raw, both)
                 grid = match(left, right, bounds, settings.match)
             textured = lit(left, settings.match)[:: grid.step, :: grid.step]
             problem = _doubt(rig, pair, textured, grid)
