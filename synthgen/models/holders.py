@@ -137,10 +137,15 @@ def find(module: Any, name: Any) -> Token:
     token = GLOBALS.get((module, name)) if isinstance(module, str) else None
     if token is None:
         raise ModelError(
-            f"the file refers to {module}.{name}, which no model file needs; it is refused and "
-            "nothing in it was run"
+            f"the file refers to {_shown(module)}.{_shown(name)}, which no model file needs; it is "
+            "refused and nothing in it was run"
         )
     return token
+
+
+def _shown(word: Any) -> str:
+    """Return a word of the file's for a message: short, control characters escaped."""
+    return ascii(word)[1:-1][:100] if isinstance(word, str) else f"a {type(word).__name__}"
 
 
 def new(token: Any) -> Holder:

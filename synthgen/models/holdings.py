@@ -86,8 +86,11 @@ class _Reader:
     def _extent(self, value: Any, depth: int) -> _Read:
         if isinstance(value, Token):
             raise ModelError(f"holds a class ({value.kind}) where a value should be")
+        if isinstance(value, memoryview):
+            self.budget.spend(len(value), "a byte string")
+            return _Read(value, bytes(value), 0, 1)
         if not isinstance(value, Holder | list | tuple | dict):
-            return _Read(value, bytes(value) if isinstance(value, memoryview) else value, 0, 1)
+            return _Read(value, value, 0, 1)
         if depth > MAX_DEPTH:
             raise ModelError(f"nested deeper than {MAX_DEPTH} levels; no model file is")
         known = self.known.get(id(value))
@@ -123,6 +126,8 @@ class _Reader:
         shape = _shape(shape, "an array")
         if dtype.holds_objects:
             return self._objects(holder, shape, data, depth)
+        if isinstance(data, str):
+            self.budget.spend(len(data), "an array's text")
         raw = data.encode("latin1") if isinstance(data, str) else data
         kind = dtype.numpy()
         if not isinstance(raw, bytes | memoryview):
@@ -151,10 +156,12 @@ class _Reader:
         state = holder.state
         if holder.kind == "chumpy ch":
             key = "x" if "x" in state else "_x"
-            return np.asarray(self._member(state, key, holder, depth))
+            value = self._member(state, key, holder, depth)
+            number = isinstance(value, int | float)
+            return _numeric(np.asarray(value) if number else value, holder)
         source = _numeric(self._member(state, "a", holder, depth), holder)
         if holder.kind == "chumpy select":
-            picks = _integers(self._member(state, "idxs", holder, depth), holder).ravel()
+            picks = self._integers(self._member(state, "idxs", holder, depth), holder).ravel()
             if picks.size and (picks.min() < 0 or picks.max() >= source.size):
                 raise ModelError(f"a chumpy Select picks item {picks.max()} of {source.size}")
             self.budget.spend(picks.size * source.itemsize, "a chumpy Select")
@@ -171,11 +178,14 @@ class _Reader:
         wanted = _shape(self.read(shape, depth), "a chumpy object")
         if math.prod(wanted) != source.size:
             raise ModelError(f"a chumpy object of {source.size} items has shape {wanted}")
+        if not source.flags.c_contiguous:
+            self.budget.spend(source.nbytes, "a chumpy object whose items lie apart")
         return source.reshape(wanted)
 
     def _member(self, state: dict[str, Any], key: str, holder: Holder, depth: int) -> Any:
         if key not in state:
-            raise ModelError(f"a {holder.kind} in the file has no {key!r}; it has {sorted(state)}")
+            has = f"{sorted(state)}"
+            raise ModelError(f"a {holder.kind} in the file has no {key!r}; it has {has:.200}")
         return self.read(state[key], depth)
 
     def _sparse(self, holder: Holder, depth: int) -> NDArray[np.float64]:
@@ -188,10 +198,10 @@ class _Reader:
         values = _numeric(self._member(state, "data", holder, depth), holder)
         if holder.kind == "sparse coo":
             pair = state.get("coords") or [state.get("row"), state.get("col")]
-            row, column = (_integers(part, holder) for part in pair)
+            row, column = (self._integers(part, holder) for part in pair)
         else:
-            inner = _integers(state.get("indices"), holder)
-            outer = _unrolled(_integers(state.get("indptr"), holder), len(values))
+            inner = self._integers(state.get("indices"), holder)
+            outer = _unrolled(self._integers(state.get("indptr"), holder), len(values))
             row, column = (inner, outer) if holder.kind == "sparse csc" else (outer, inner)
         if not len(values) == len(row) == len(column):
             raise ModelError("a sparse matrix has parts of different lengths")
@@ -201,6 +211,16 @@ class _Reader:
         dense = np.zeros(shape)
         np.add.at(dense, (row, column), values)
         return dense
+
+    def _integers(self, value: Any, holder: Holder) -> NDArray[np.int64]:
+        """Return indices; a list of them may be named by many holders, each makes a copy."""
+        if isinstance(value, list) and not all(isinstance(n, int) for n in value):
+            raise ModelError(f"a {holder.kind} in the file has indices that are no whole numbers")
+        found = np.asarray(value) if isinstance(value, list) else _numeric(value, holder)
+        if found.dtype.kind not in "iu":
+            raise ModelError(f"a {holder.kind} in the file has indices of type {found.dtype}")
+        self.budget.spend(8 * found.size, "indices")
+        return found.astype(np.int64)
 
 
 def _over(value: Any, result: Any, parts: Iterable[_Read]) -> _Read:
@@ -212,9 +232,12 @@ def _over(value: Any, result: Any, parts: Iterable[_Read]) -> _Read:
 
 def _unrolled(pointer: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     """Return the outer index of each of ``n`` entries from compressed pointers."""
-    counts = np.diff(pointer)
-    if not len(pointer) or pointer[0] != 0 or pointer[-1] != n or (counts < 0).any():
+    # neighbours are compared, not subtracted: differences of 64 bits may wrap, and a wrapped
+    # count makes numpy write beyond its array
+    falls = (pointer[1:] < pointer[:-1]).any()
+    if not len(pointer) or pointer[0] != 0 or pointer[-1] != n or falls:
         raise ModelError("a sparse matrix has broken pointers")
+    counts = np.diff(pointer)
     return np.repeat(np.arange(len(counts)), counts)
 
 
@@ -236,10 +259,3 @@ def _numeric(value: Any, holder: Holder) -> NDArray[Any]:
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
         raise ModelError(f"a {holder.kind} in the file holds no numbers")
     return value
-
-
-def _integers(value: Any, holder: Holder) -> NDArray[np.int64]:
-    array = np.asarray(value) if isinstance(value, list) else _numeric(value, holder)
-    if array.dtype.kind not in "iu":
-        raise ModelError(f"a {holder.kind} in the file has indices of type {array.dtype}")
-    return array.astype(np.int64)

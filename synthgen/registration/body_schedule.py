@@ -28,6 +28,8 @@ ANYWHERE_M = 1e3
 # Search trees of bodies need more points than those of hands.
 TREE_POINTS = 40_000
 MARGIN_M, TIED = 0.06, 300
+# Stages so fine take small steps: matches walk on from the last ones.
+WALK_SIGMA_M = 6e-3
 
 
 @dataclass(frozen=True)
@@ -146,8 +148,10 @@ def body_terms(
     rho = GemanMcClure(stage.sigma_m)
     terms: list[Term] = []
     if len(ids):
+        walking: dict[str, Ids] | None = {} if stage.sigma_m <= WALK_SIGMA_M else None
         terms.append(ScanToMesh(scan.points[ids], scan.normals[ids], weight, rho, stage.cut_m,
-                                stage.cosine, stage.tangential, tied=TIED))  # fmt: skip
+                                stage.cosine, stage.tangential, tied=TIED,
+                                memory=walking))  # fmt: skip
     if stage.mesh_to_scan > 0:
         order, hands = looked_at(surface)
         some = order[: stage.looked]

@@ -7,6 +7,7 @@ megabytes; a few thousand rows at surface points are 2-8 ms.
 
 from __future__ import annotations
 
+import sys
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ class BodySurface(Surface):
     hands : dict of str to slice
         The 45 finger angles of "left" and "right".
     """
+
+    summed_from = sys.maxsize  # its vertices outnumber the points
 
     def _check(self, model: BodyModel) -> None:
         if model.hand is not None or model.family not in ("smplh", "supr"):

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from synthgen.geometry.rotations import matrix_from_axis_angle
@@ -69,6 +71,21 @@ def energies(
     return _pair(model, starts, placed, points, normals, sigma_m).energy, placed
 
 
+def pairs_of(
+    vertices: Single, vertex_normals: Single, points: Single, normals: Single
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Nearest vertex (S, N) of every point and nearest point (S, V) of every vertex.
+
+    Near in position and normal: of starts' vertices (S, V, 3) and points (N, 3).
+    """
+    own = np.concatenate([vertices, np.float32(NORMAL_M) * vertex_normals], axis=-1)
+    scan = np.concatenate([points, np.float32(NORMAL_M) * normals], axis=-1)
+    vertex = np.empty((len(vertices), len(points)), np.int64)
+    point = np.empty(vertices.shape[:2], np.int64)
+    _nearest_both_ways(np.ascontiguousarray(own.transpose(0, 2, 1)), scan, vertex, point)
+    return vertex, point
+
+
 def _pair(
     model: CoarseModel,
     starts: Starts,
@@ -78,12 +95,7 @@ def _pair(
     sigma_m: float,
 ) -> _Pairs:
     s2 = np.float32(sigma_m**2)
-    own = np.concatenate([placed.vertices, NORMAL_M * placed.normals], axis=-1)
-    scan = np.concatenate([points, NORMAL_M * normals], axis=-1)
-    # |scan - own|^2 less the scan's own length, which no argmin over vertices sees
-    table = -2 * (scan @ own.transpose(0, 2, 1)) + np.sum(own * own, axis=-1)[:, None]
-    vertex = table.argmin(axis=2)
-    point = (table + np.sum(scan * scan, axis=-1)[:, None]).argmin(axis=1)
+    vertex, point = pairs_of(placed.vertices, placed.normals, points, normals)
     row = np.arange(len(starts))[:, None]
     n = placed.normals[row, vertex]
     offset = placed.vertices[row, vertex] - points
@@ -134,12 +146,12 @@ def step(
     pairs = _pair(model, starts, placed, points, normals, part.sigma_m)
     A, c = _vertex_blocks(placed, pairs)
     free = np.array([*range(6), 6 + COMPONENTS]) if part.rigid else np.arange(model.n)
-    jacobian = model.jacobian(placed)
-    jacobian = jacobian[..., free] if part.rigid else jacobian
+    jacobian = model.rigid_jacobian(placed) if part.rigid else model.jacobian(placed)
     s, p = len(starts), len(free)
-    weighted = (A @ jacobian.reshape(-1, 3, p)).reshape(s, -1, p)
+    weighted = np.empty_like(jacobian)
+    _apply(A, jacobian.reshape(-1, 3, p), weighted.reshape(-1, 3, p))
     flat = jacobian.reshape(s, -1, p).transpose(0, 2, 1)
-    hessian = (flat @ weighted).astype(np.float64)
+    hessian = (flat @ weighted.reshape(s, -1, p)).astype(np.float64)
     gradient = (flat @ c.reshape(s, -1, 1))[..., 0].astype(np.float64)
     values = np.concatenate([np.zeros((s, 6)), starts.coefficients, starts.shape], axis=1)[:, free]
     prior = np.where(free >= 6, PRIOR, 0.0)
@@ -198,3 +210,42 @@ def run(
                               last.sigma_m)  # fmt: skip
     order = distinct(placed.vertices, energy, len(starts), apart_m)
     return starts.take(order), energy[order]
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _nearest_both_ways(own: Any, scan: Any, vertex: Any, point: Any) -> None:
+    """Columns of own (S, 6, V) and rows of scan (N, 6): the nearest of each other's."""
+    n_vertices, far = own.shape[2], np.float32(1e30)
+    row, best = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
+    which = np.empty(n_vertices, np.int32)
+    for s in range(own.shape[0]):
+        a, b, c, d, e, f = own[s, 0], own[s, 1], own[s, 2], own[s, 3], own[s, 4], own[s, 5]
+        best[:] = far
+        for n in range(scan.shape[0]):
+            point_n, p = np.int32(n), scan[n]
+            p0, p1, p2, p3, p4, p5 = p[0], p[1], p[2], p[3], p[4], p[5]
+            for v in range(n_vertices):
+                x, y, z = a[v] - p0, b[v] - p1, c[v] - p2
+                i, j, k = d[v] - p3, e[v] - p4, f[v] - p5
+                away = x * x + y * y + z * z + i * i + j * j + k * k
+                row[v] = away
+                nearer = away < best[v]
+                best[v] = away if nearer else best[v]
+                which[v] = point_n if nearer else which[v]
+            least, at = far, 0
+            for v in range(n_vertices):
+                least = row[v] if row[v] < least else least
+            while at < n_vertices - 1 and row[at] != least:
+                at += 1
+            vertex[s, n] = at
+        point[s] = which
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _apply(blocks: Any, columns: Any, out: Any) -> None:
+    """Products of blocks (m, 3, 3) and columns (m, 3, p)."""
+    for i in range(len(blocks)):
+        for a in range(3):
+            x, y, z = blocks[i, a, 0], blocks[i, a, 1], blocks[i, a, 2]
+            for q in range(columns.shape[2]):
+                out[i, a, q] = x * columns[i, 0, q] + y * columns[i, 1, q] + z * columns[i, 2, q]

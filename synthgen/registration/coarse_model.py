@@ -97,13 +97,6 @@ class CoarseModel:
         self.mean = prior.mean.astype(np.float32)
         scaled = prior.components[:COMPONENTS] * prior.sd[:COMPONENTS, None]
         self.basis = scaled.astype(np.float32)
-        below = np.zeros((surface.n_joints, surface.n_joints), dtype=np.float32)
-        for k in range(surface.n_joints):
-            up = k
-            while up >= 0:
-                below[up, k] = 1
-                up = int(model.parents[up])
-        self.carried = self.weights @ below.T
         self.n_shape = model.n_shape
         self.n = 6 + COMPONENTS + self.n_shape
 
@@ -133,44 +126,31 @@ class CoarseModel:
 
     def jacobian(self, placed: PlacedBatch) -> Single:
         """Return derivatives (S, V, 3, n): translation, left rotation, coefficients, shape."""
-        s, v, k = *placed.vertices.shape[:2], len(self.parents)
-        moment = self._moments(placed)
-        out = np.zeros((s, v, 3, self.n), np.float32)
-        out[..., :3] = np.eye(3, dtype=np.float32)
-        root = moment[:, :, 0]
-        out[..., 0, 4], out[..., 0, 5] = root[..., 2], -root[..., 1]
-        out[..., 1, 3], out[..., 1, 5] = -root[..., 2], root[..., 0]
-        out[..., 2, 3], out[..., 2, 4] = root[..., 1], -root[..., 0]
-        axes = placed.frames[:, self.parents[1:]] @ placed.left
-        turned = np.empty((s, v, 3, k - 1, 3), np.float32)
-        _turn_columns(np.ascontiguousarray(axes), moment, turned)
-        fingers = turned.reshape(-1, 3 * (k - 1)) @ self.basis.T
-        out[..., 6 : 6 + COMPONENTS] = fingers.reshape(s, v, 3, COMPONENTS)
-        out[..., 6 + COMPONENTS :] = self._shape_columns(placed)
+        out = np.zeros((*placed.vertices.shape, self.n), np.float32)
+        _move_columns(placed, out)
+        axes = np.ascontiguousarray(placed.frames[:, self.parents[1:]] @ placed.left)
+        _finger_columns(self.weights, self.parents, placed.rest, placed.frames, placed.shift,
+                        placed.joints, axes, self.basis, out[..., 6 : 6 + COMPONENTS])  # fmt: skip
+        out[..., 6 + COMPONENTS :] = self._shape_columns(placed, self.n_shape)
         return out
 
-    def _moments(self, placed: PlacedBatch) -> Single:
-        """Sum what each joint's descendants carry of each vertex, about the joint: (S, V, K, 3)."""
-        s, v, k = *placed.vertices.shape[:2], len(self.parents)
-        flat = placed.frames.reshape(s, 3 * k, 3).transpose(0, 2, 1)
-        moment = (placed.rest @ flat).reshape(s, v, k, 3)
-        moment += placed.shift[:, None]
-        moment *= self.weights[None, :, :, None]
-        for j in range(k - 1, 0, -1):
-            moment[:, :, self.parents[j]] += moment[:, :, j]
-        moment -= self.carried[None, :, :, None] * placed.joints[:, None]
-        return moment
+    def rigid_jacobian(self, placed: PlacedBatch) -> Single:
+        """Return derivatives (S, V, 3, 7): translation, left rotation, first beta."""
+        out = np.zeros((*placed.vertices.shape, 7), np.float32)
+        _move_columns(placed, out)
+        out[..., 6:] = self._shape_columns(placed, 1)
+        return out
 
-    def _shape_columns(self, placed: PlacedBatch) -> Single:
-        s, k = len(placed.joints), len(self.parents)
-        moved = np.empty((s, k, 3, self.n_shape), np.float32)
-        moved[:, 0] = self.joint_shapes[0]
+    def _shape_columns(self, placed: PlacedBatch, n: int) -> Single:
+        s, k, by_shape = len(placed.joints), len(self.parents), self.joint_shapes[..., :n]
+        moved = np.empty((s, k, 3, n), np.float32)
+        moved[:, 0] = by_shape[0]
         for j in range(1, k):
             up = self.parents[j]
-            bone = self.joint_shapes[j] - self.joint_shapes[up]
+            bone = by_shape[j] - by_shape[up]
             moved[:, j] = moved[:, up] + placed.frames[:, up] @ bone
-        shift = (moved - placed.frames @ self.joint_shapes).reshape(s, k, -1)
-        own = placed.blend @ self.shapedirs
+        shift = (moved - placed.frames @ by_shape).reshape(s, k, -1)
+        own = placed.blend @ self.shapedirs[..., :n]
         return own + (self.weights @ shift).reshape(own.shape)
 
     def to_vectors(self, starts: Starts) -> Array:
@@ -202,18 +182,55 @@ def coarse_model_of(model: BodyModel, prior: HandPrior) -> CoarseModel:
     return CoarseModel(surface_of(model), prior)
 
 
+def _move_columns(placed: PlacedBatch, out: Single) -> None:
+    """Write the columns of translation and left rotation, about the root joint."""
+    arm = placed.vertices - placed.joints[:, None, 0]
+    out[..., :3] = np.eye(3, dtype=np.float32)
+    out[..., 0, 4], out[..., 0, 5] = arm[..., 2], -arm[..., 1]
+    out[..., 1, 3], out[..., 1, 5] = -arm[..., 2], arm[..., 0]
+    out[..., 2, 3], out[..., 2, 4] = arm[..., 1], -arm[..., 0]
+
+
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _turn_columns(axes: Any, moment: Any, out: Any) -> None:
-    """Cross products axis x moment: axes (S, J, 3, 3), moment (S, V, J + 1, 3)."""
+def _finger_columns(
+    weights: Any, parents: Any, rest: Any, frames: Any, shift: Any, joints: Any, axes: Any,
+    basis: Any, out: Any,
+) -> None:  # fmt: skip
+    """Add the columns of coefficients to out (S, V, 3, c); basis (c, 3 (K - 1)).
+
+    A vertex moves with the few joints that carry it or its carriers: from the tips to the root,
+    each joint hands its share of the vertex on to its parent, and turns it about its own axes.
+    """
+    k = len(parents)
+    moment, mass = np.zeros((k, 3), np.float32), np.zeros(k, np.float32)
+    by_angle = basis.T.copy()
     for s in range(out.shape[0]):
         for v in range(out.shape[1]):
-            for j in range(out.shape[3]):
-                x, y, z = moment[s, v, j + 1, 0], moment[s, v, j + 1, 1], moment[s, v, j + 1, 2]
+            p, columns = rest[s, v], out[s, v]
+            for j in range(k):
+                w = weights[v, j]
+                mass[j] = w
+                for a in range(3):
+                    f = frames[s, j, a]
+                    moment[j, a] = w * (f[0] * p[0] + f[1] * p[1] + f[2] * p[2] + shift[s, j, a])
+            for j in range(k - 1, 0, -1):
+                w, up = mass[j], parents[j]
+                if w == 0.0:
+                    continue
+                mass[up] += w
+                for a in range(3):
+                    moment[up, a] += moment[j, a]
+                x = moment[j, 0] - w * joints[s, j, 0]
+                y = moment[j, 1] - w * joints[s, j, 1]
+                z = moment[j, 2] - w * joints[s, j, 2]
                 for c in range(3):
-                    ax, ay, az = axes[s, j, 0, c], axes[s, j, 1, c], axes[s, j, 2, c]
-                    out[s, v, 0, j, c] = ay * z - az * y
-                    out[s, v, 1, j, c] = az * x - ax * z
-                    out[s, v, 2, j, c] = ax * y - ay * x
+                    u = axes[s, j - 1, :, c]
+                    i, m, n = u[1] * z - u[2] * y, u[2] * x - u[0] * z, u[0] * y - u[1] * x
+                    row = by_angle[3 * (j - 1) + c]
+                    for q in range(len(row)):
+                        columns[0, q] += i * row[q]
+                        columns[1, q] += m * row[q]
+                        columns[2, q] += n * row[q]
 
 
 def spread(points: Array, count: int) -> NDArray[np.int64]:

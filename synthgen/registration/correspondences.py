@@ -21,7 +21,7 @@ class Pairs:
 
     Attributes
     ----------
-    triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
+    face : (m,) int64; triangle : (m, 3) int64 vertex ids; barycentric, shift, normal : (m, 3)
         The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
         triangle to the curved surface.
     squared : (m,) metres^2
@@ -29,6 +29,7 @@ class Pairs:
     rim : (m,) bool, closest point on an open boundary
     """
 
+    face: NDArray[np.int64]
     triangle: NDArray[np.int64]
     barycentric: Array
     shift: Array
@@ -57,7 +58,7 @@ def closest(
 ) -> Pairs:
     """Closest points on the mesh, with interpolated (Phong) normals.
 
-    ``start`` (m,) are vertices near the closest points, where they are known: a walk from there is
+    ``start`` (m,) are vertices near the closest points, -1 where not known: a walk from there is
     much cheaper than a search.
 
     ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
@@ -68,7 +69,10 @@ def closest(
     if start is None:
         squared, face, point = placed.nearest(points, neighbours)
     else:
-        squared, face, point = walked_to(s, placed.vertices, points, start)
+        squared, face, point = walked_to(s, placed.vertices, points, np.maximum(start, 0))
+        lost = np.flatnonzero(start < 0)
+        if len(lost):
+            squared[lost], face[lost], point[lost] = placed.nearest(points[lost], neighbours)
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
@@ -76,7 +80,7 @@ def closest(
     _attributes(placed.vertices, placed.normals, triangle, point, normals,
                 s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
-    return Pairs(triangle, barycentric, shift, normal, squared, kept, rim)
+    return Pairs(face, triangle, barycentric, shift, normal, squared, kept, rim)
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)

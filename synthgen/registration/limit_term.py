@@ -50,11 +50,11 @@ class LimitPrior:
         """Rows of violated angles only."""
         beyond = self.beyond(placed)
         joint, axis = np.nonzero(beyond)
-        slopes = angle_slopes(self.limits, placed.x[self.where].reshape(16, 3))
         rows = np.zeros((len(joint), placed.surface.n))
-        for row, (j, a) in enumerate(zip(joint, axis, strict=True)):
-            at = self.where.start + 3 * j
-            rows[row, at : at + 3] = slopes[j, a] / self.sd_rad
+        if len(joint):  # mostly none is
+            slopes = angle_slopes(self.limits, placed.x[self.where].reshape(16, 3))
+            at = self.where.start + 3 * joint[:, None] + np.arange(3)
+            rows[np.arange(len(joint))[:, None], at] = slopes[joint, axis] / self.sd_rad
         residual = beyond[joint, axis] / self.sd_rad
         return [Block(residual, rows, np.full(len(joint), self.weight))]
 

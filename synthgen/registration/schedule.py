@@ -17,7 +17,7 @@ from synthgen.registration.terms import GemanMcClure, MeshToScan, ScanToMesh, Te
 Array = NDArray[np.float64]
 MM = 1e-3
 # Stages of so many points take steps so small that matches walk on from the last ones.
-WALK_POINTS = 10_000
+WALK_POINTS = 3000
 
 
 @dataclass(frozen=True)
@@ -138,11 +138,18 @@ def stage_terms(
     priors: Sequence[Term],
     visible: NDArray[np.bool_] | None = None,
     curved: float = 0.0,
+    begin: NDArray[np.int64] | None = None,
 ) -> list[Term]:
-    """Return the terms of one stage; a scan of fewer points than the stage's counts for fewer."""
+    """Return the terms of one stage; a scan of fewer points than the stage's counts for fewer.
+
+    ``begin`` are vertices near the points' closest ones, where they are known.
+    """
     points, normals = scan.points[: stage.points], scan.normals[: stage.points]
     weight = stage.n_eff * len(points) / stage.points / stage.noise_m**2
     rho = GemanMcClure(stage.sigma_m)
+    memory: dict[str, NDArray[np.int64]] | None = {} if begin is None else {"corner": begin}
+    if stage.points < WALK_POINTS:
+        memory = None
     terms: list[Term] = [
         ScanToMesh(
             points,
@@ -153,7 +160,7 @@ def stage_terms(
             stage.cosine,
             stage.tangential,
             curved,
-            memory={} if stage.points >= WALK_POINTS else None,
+            memory=memory,
         )
     ]
     if stage.mesh_to_scan > 0:
@@ -204,9 +211,10 @@ def run_stage(
     basis: Array | None = None,
     visible: NDArray[np.bool_] | None = None,
     curved: float = 0.0,
+    begin: NDArray[np.int64] | None = None,
 ) -> Outcome:
     """Run one stage from x."""
-    energy = Energy(surface, stage_terms(scan, stage, priors, visible, curved))
+    energy = Energy(surface, stage_terms(scan, stage, priors, visible, curved, begin))
     chosen = rigid_basis(surface) if stage.rigid else basis
     return minimise(energy, x, iterations=stage.iterations, basis=chosen, method=method)
 

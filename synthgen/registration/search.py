@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.models import BodyModel
 from synthgen.registration import coarse
+from synthgen.registration.begin import beginnings
 from synthgen.registration.coarse_model import CoarseModel, Single, Starts
 from synthgen.registration.patches import patches_of
 from synthgen.registration.prior import HandPrior
@@ -195,7 +196,7 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         outcome = run_stage(
             settings.surface, scan, x, stage, settings.priors(stage.prior),
             method=settings.preset.method, basis=settings.basis, visible=visible,
-            curved=settings.curved,
+            curved=settings.curved, begin=_begin(scan, stage, outcome),
         )  # fmt: skip
         x = outcome.x
         log.append(_logged(stage, outcome, began))
@@ -215,6 +216,14 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
     )  # fmt: skip
     verdict = judge(found, x[settings.surface.shape])
     return Candidate(x, source, early, found, verdict, hessian, log)
+
+
+def _begin(scan: Scan, stage: Stage, before: Outcome | None) -> NDArray[np.int64] | None:
+    """Where a stage of many points begins to match: at its neighbours' matches of the last one."""
+    if before is None or stage.points < FINAL.points:
+        return None
+    points, normals = scan.points[: stage.points], scan.normals[: stage.points]
+    return beginnings(points, normals, before.trial.matches[0])
 
 
 def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -> float:

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
-from synthgen.registration.terms import Term
+from synthgen.registration.terms import Sums, Term
 
 Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
 MAX_TURN_RAD, MAX_TRIALS = 0.5, 4
 SMALL_DROP, SMALL_DROPS = 1e-4, 2
+# After many good steps the damping is nothing, and six times nothing would not shorten a bad one.
+LEAST_REFUSED = 1e-3
 # A point of a body moves with few of its parameters: from this many on rows are mostly zeros.
 SPARSE_FROM = 100
 CHUNK = 2048  # rows that stay in the cache
@@ -55,6 +57,10 @@ class Energy:
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
             for block in term.blocks(trial.placed, match):
+                if isinstance(block, Sums):
+                    hessian += block.hessian
+                    gradient += block.gradient
+                    continue
                 if n >= SPARSE_FROM:
                     normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
                     continue
@@ -135,7 +141,14 @@ def _accepted(
         tried = energy.at(wrapped(energy.surface, trial.placed.x + scale * full))
         if trust.judge(trial.cost - tried.cost, scale * step):
             return tried
+        if promised(hessian, gradient, scale * step) < SMALL_DROP * trial.cost:
+            return None  # shorter steps promise even less
     return None
+
+
+def promised(hessian: Array, gradient: Array, step: Array) -> float:
+    """How much lower the quadratic model is after a step."""
+    return -float(2 * gradient @ step + step @ hessian @ step)
 
 
 def wrapped(surface: Surface, x: Array) -> Array:
@@ -167,7 +180,7 @@ class _Marquardt:
 
     def judge(self, gain: float, step: Array) -> bool:
         good = gain > 0
-        self.mu = max(self.mu / 4, 1e-7) if good else max(self.mu, 1e-6) * 6
+        self.mu = max(self.mu / 4, 1e-7) if good else max(self.mu, LEAST_REFUSED) * 6
         return good
 
 
@@ -202,8 +215,7 @@ class _Dogleg:
 
     def judge(self, gain: float, step: Array) -> bool:
         scaled = step * self.root
-        promised = -float(2 * self.g @ scaled + scaled @ self.h @ scaled)
-        ratio = gain / max(promised, 1e-300)
+        ratio = gain / max(promised(self.h, self.g, scaled), 1e-300)
         if ratio < 0.25:
             self.radius = 0.25 * float(np.linalg.norm(scaled))
         elif ratio > 0.75:

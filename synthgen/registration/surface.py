@@ -38,7 +38,11 @@ class Surface:
         Where they lie in it.
     rim : (V,) bool
         Vertices of open boundaries (a hand's wrist ring).
+    summed_from : int
+        From so many points on, normal equations are summed on the mesh before parameters come in.
     """
+
+    summed_from = 4000
 
     def __init__(self, model: BodyModel) -> None:
         self._check(model)

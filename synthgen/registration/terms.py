@@ -8,6 +8,7 @@ by losing points.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.registration.correspondences import Pairs, closest
+from synthgen.registration.mesh_sums import summed
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
@@ -31,6 +33,14 @@ class Block:
     weight: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Many residuals, summed already: J^T W J (n, n) and J^T W r (n,)."""
+
+    hessian: Array
+    gradient: Array
+
+
 class Term(Protocol):
     """One summand of the energy."""
 
@@ -40,7 +50,7 @@ class Term(Protocol):
     def cost(self, placed: Placed, match: Any) -> float:
         """Return the robust cost."""
 
-    def blocks(self, placed: Placed, match: Any) -> list[Block]:
+    def blocks(self, placed: Placed, match: Any) -> Sequence[Block | Sums]:
         """Linearise the residuals at a match."""
 
 
@@ -118,9 +128,11 @@ class ScanToMesh:
         """Return the weighted mean robust cost."""
         return self.weight * float(self.rho.cost(match.squared, match.kept).mean())
 
-    def blocks(self, placed: Placed, match: Pairs) -> list[Block]:
+    def blocks(self, placed: Placed, match: Pairs) -> Sequence[Block | Sums]:
         """Rows n . sum b dv/dx; with ``tangential`` also the three coordinates."""
         w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
+        if self.tangential == 0 and len(w) >= placed.surface.summed_from:
+            return [Sums(*summed(placed, match, self.points, w))]
         used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
         t, b, w = match.triangle[used], match.barycentric[used], w[used]
         corner = placed.vertices[t]

@@ -80,6 +80,7 @@ def epipolar_rms_px(true: Calibration, nominal: Calibration, volume_m: Vec3) -> 
     """Return the RMS vertical mismatch of a pair rectified with its nominal calibration, pixels.
 
     Over a lattice in the working volume, where both cameras see it; 0 where they see none of it.
+    Without glass: what that adds is known, see :func:`synthgen.scanner.rows.refracted_rows`.
     """
     points = volume_points(volume_m, 7)
     points = points[in_frame(nominal.left, points) & in_frame(nominal.right, points)]

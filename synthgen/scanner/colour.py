@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from synthgen.geometry.cameras import Camera, project
 from synthgen.geometry.normals import unit
 from synthgen.render import backend
+from synthgen.scanner.glass import seen_position
+from synthgen.scanner.rig import Glass
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -22,10 +24,14 @@ _LIFT_M = 0.0008
 
 @dataclass(frozen=True, eq=False)
 class ColourView:
-    """A colour picture (H, W, 3) uint8 sRGB with the camera that is believed to have taken it."""
+    """A colour picture (H, W, 3) uint8 sRGB with the camera that is believed to have taken it.
+
+    ``glass`` is what the camera may have looked through.
+    """
 
     camera: Camera
     picture: Picture
+    glass: Glass | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +69,15 @@ def colour_vertices(
     pixels = np.zeros((n, len(views), 2), np.float32)
     blocked = _Blocker(vertices, faces)
     for k, view in enumerate(views):
-        at, z = project(view.camera, vertices)
+        eyes = seen_position(view.glass, view.camera.position, vertices)
+        at, z = project(view.camera, vertices - eyes + view.camera.position)
         pixels[:, k] = at
-        sight = unit(view.camera.position - vertices)
+        sight = unit(eyes - vertices)
         cosine = np.einsum("vk,vk->v", normals, sight)
         height, width = view.picture.shape[:2]
         inside = (z > 0) & (at >= 0).all(axis=1) & (at <= [width - 1, height - 1]).all(axis=1)
         seen = inside & (cosine > LEAST_FACING)
-        seen[seen] &= ~blocked(vertices[seen] + _LIFT_M * normals[seen], view.camera.position)
+        seen[seen] &= ~blocked(vertices[seen] + _LIFT_M * normals[seen], eyes[seen])
         facing[:, k] = np.where(seen, cosine, 0)
     best = facing.argmax(axis=1) if len(views) else np.zeros(n, np.int64)
     found = facing.max(axis=1, initial=0) > 0
@@ -92,7 +99,7 @@ def sample(picture: Picture, at: NDArray[Any]) -> Picture:
 
 
 class _Blocker:
-    """Answers whether a mesh lies between points and an eye."""
+    """Answers whether a mesh lies between points and eyes, (n, 3) each."""
 
     def __init__(self, vertices: Array, faces: NDArray[np.int64]) -> None:
         backend.activate()
@@ -104,11 +111,11 @@ class _Blocker:
         params.update()
         self.scene = mi.load_dict({"type": "scene", "mesh": mesh})
 
-    def __call__(self, points: Array, eye: Array) -> NDArray[np.bool_]:
+    def __call__(self, points: Array, eyes: Array) -> NDArray[np.bool_]:
         if not len(points):
             return np.zeros(0, dtype=bool)
         mi: Any = backend.mitsuba()
-        away = eye - points
+        away = eyes - points
         far = np.linalg.norm(away, axis=1)
         origin = mi.Point3f(*(mi.Float(v) for v in points.T.astype(np.float32)))
         direction = mi.Vector3f(*(mi.Float(v) for v in (away / far[:, None]).T.astype(np.float32)))

@@ -180,13 +180,17 @@ def _light_time(stage: Stage, shutter: Shutter) -> float:
 
 
 def _soft(stage: Stage, slot: int, time_s: float) -> SoftLight:
-    """Return the light at the vertices, made again only where the scene has moved since."""
+    """Return the light at the vertices, made again only where the scene has moved since.
+
+    It is that of the nearest of some fixed times, so that the order of exposures does not matter.
+    """
     speed = float(np.linalg.norm(stage.velocity_m_s))
     dot = min(p.pattern.dot_px * p.focus_m / p.optics.fx for p in stage.rig.projectors)
-    step = 0.25 * dot / speed if speed else np.inf
+    step = 0.5 * dot / speed if speed else np.inf
+    when = float(round(time_s / step)) * step if speed else 0.0
     kept = stage.kept.get(slot)
-    if kept is None or kept[0] != stage.posed_s or abs(kept[1] - time_s) > step:
-        kept = stage.posed_s, time_s, soft_light(stage, slot, time_s)
+    if kept is None or kept[:2] != (stage.posed_s, when):
+        kept = stage.posed_s, when, soft_light(stage, slot, when)
         stage.kept[slot] = kept
     light: SoftLight = kept[2]
     return light

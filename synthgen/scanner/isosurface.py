@@ -96,7 +96,9 @@ def _cubes(field: Field, first: int, stop: int) -> Mesh:
         known = np.logical_and(*(_cut(known, axis, side) for side in (0, 1)))
     cubes: Any = measure.marching_cubes
     vertices, faces, _, _ = cubes(filled, 0.0, allow_degenerate=False)
-    i, j, k = np.floor(vertices[faces].mean(axis=1)).astype(np.int64).T
+    middle = np.floor(vertices[faces].mean(axis=1)).astype(np.int64)
+    # Where a distance is exactly 0, a face can lie in the last plane of voxels.
+    i, j, k = np.minimum(middle, np.array(known.shape) - 1).T
     used, index = np.unique(faces[known[i, j, k]], return_inverse=True)
     return vertices[used] + np.array([first * BRICK, 0.0, 0.0]), index.reshape(-1, 3)
 

@@ -26,7 +26,7 @@ from synthgen.scanner.rectify import Rectified, rectify, rectify_images
 from synthgen.scanner.report import Report, picture_report, scan_report, unit_report
 from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
 from synthgen.scanner.rig import Rig, Unit
-from synthgen.scanner.rows import find_row_offset
+from synthgen.scanner.rows import find_row_offset, refracted_rows
 from synthgen.scanner.scaling import scaled
 from synthgen.scanner.settings import ScanSettings, check_level, check_settings, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
@@ -167,7 +167,7 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
         true = ideal_disparity(stage, unit, pair, grid.step, time_s=unit_time(stage, unit))
     view = None
     if settings.colour and unit.nominal.colour is not None:
-        view = ColourView(unit.nominal.colour, expose_colour(stage, unit))
+        view = ColourView(unit.nominal.colour, expose_colour(stage, unit), stage.rig.glass)
     points = None
     if grid.matched.any():
         points = range_grid(pair, grid, settings.grid, stage.rig.glass)
@@ -209,7 +209,9 @@ def _matched(rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings) 
     """Rectify and match one exposure."""
     scale = 255 / rig.grey.full_scale
     raw = shot.left * np.float32(scale), shot.right * np.float32(scale)
-    left, right = rectify_images(pair, raw)
+    known = refracted_rows(pair, rig.glass, rig.volume_m)
+    lower = None if known is None else known.over(raw[0].shape)
+    left, right = rectify_images(pair, raw, lower)
     bounds, problem = disparity_bounds(rig, pair), shot.problem
     grid = _nothing(left.shape, settings.match.step)
     textured, rows = None, None
@@ -220,7 +222,9 @@ def _matched(rig: Rig, pair: Rectified, shot: Exposure, settings: ScanSettings) 
             else:
                 rows = find_row_offset(left, right, bounds, settings.match)
                 if rows is not None:
-                    left, right = rectify_images(pair, raw, rows.over(left.shape))
+                    found = rows.over(left.shape)
+                    both = found if lower is None else found + lower
+                    left, right = rectify_images(pair, raw, both)
                 grid = match(left, right, bounds, settings.match)
             textured = lit(left, settings.match)[:: grid.step, :: grid.step]
             problem = _doubt(rig, pair, textured, grid)

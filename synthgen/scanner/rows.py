@@ -1,9 +1,11 @@
-"""Rows that do not correspond: found in the pictures of a pair, and put right.
+"""Rows that do not correspond: known, or found in the pictures of a pair, and put right.
 
-A calibration that is off by more than some tenths of a pixel shifts one picture's rows against the
-other's, and matching along rows fails. As scanners do that align themselves by what they see, small
-windows of the left picture are looked for in the right one over neighbouring rows as well; a plane
-through their row offsets says how the right picture is to be read.
+Cameras that look at different angles through a slab of glass see a point in different rows; the
+slab is known, and so is by how much. A calibration that is off by more than some tenths of a pixel
+shifts one picture's rows against the other's, and matching along rows fails. As scanners do that
+align themselves by what they see, small windows of the left picture are looked for in the right one
+over neighbouring rows as well; a plane through their row offsets says how the right picture is to
+be read.
 """
 
 from __future__ import annotations
@@ -15,7 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.scanner.calibration import in_frame, volume_points
+from synthgen.scanner.glass import thickness_for
+from synthgen.scanner.ideal import project_through
 from synthgen.scanner.match import MatchSettings, lit
+from synthgen.scanner.rectify import Rectified, rectified_pixels
+from synthgen.scanner.rig import Glass, Vec3
 
 Array = NDArray[np.float64]
 WINDOW_PX, WINDOWS = 21, 400
@@ -33,7 +40,7 @@ class RowOffset:
     ----------
     middle, across, down : float
     windows : int
-        Of the picture that agree with it.
+        Of the picture that agree with it; 0 where it is known.
     """
 
     middle: float
@@ -46,6 +53,25 @@ class RowOffset:
         height, width = shape
         u, v = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
         return np.asarray(self.middle + self.across * u + self.down * v)
+
+
+def refracted_rows(pair: Rectified, glass: Glass | None, volume_m: Vec3) -> RowOffset | None:
+    """Return the row offset that glass makes, over the working volume above it; None without."""
+    eyes = pair.left, pair.right
+    if glass is None or not any(thickness_for(glass, eye.position) for eye in eyes):
+        return None
+    points = volume_points(volume_m, 9)
+    points = points[points[:, 1] >= glass.top_m]
+    points = points[in_frame(pair.left, points) & in_frame(pair.right, points)]
+    if len(points) < LEAST_WINDOWS:
+        return None
+    a, b = (
+        rectified_pixels(pair, k, project_through(glass, eye, points)) for k, eye in enumerate(eyes)
+    )
+    u, v = (2 * b / [pair.camera.width - 1, pair.camera.height - 1] - 1).T
+    basis = np.column_stack([np.ones_like(u), u, v])
+    middle, across, down = np.linalg.lstsq(basis, (b - a)[:, 1], rcond=None)[0].tolist()
+    return RowOffset(middle, across, down, 0)
 
 
 def find_row_offset(

@@ -120,9 +120,10 @@ def _touched(
 ) -> NDArray[np.int64]:
     """Bricks (n, 3) within reach of a point, in lattice order."""
     keys = []
+    steps = max(1, int(np.ceil(2 * reach / edge)))  # none longer than a brick
     for own in points:
-        for corner in np.ndindex(2, 2, 2):
-            at = np.floor((own + (2 * np.array(corner) - 1) * reach - origin) / edge)
+        for corner in np.ndindex(*[steps + 1] * 3):
+            at = np.floor((own + (2 * np.array(corner) / steps - 1) * reach - origin) / edge)
             i, j, k = np.clip(at.astype(np.int64), 0, _MOST_ALONG - 1).T
             keys.append(np.unique((i * _MOST_ALONG + j) * _MOST_ALONG + k))
     key = np.unique(np.concatenate(keys))

@@ -79,7 +79,7 @@ def expose_colour(stage: Stage, unit: Unit, *, spp: int = SPP) -> NDArray[np.uin
     shutter = shutter_of(sensor, time)
 
     def look() -> Look:
-        return _look(stage, _kept(stage, time if stage.rigid else stage.posed_s))
+        return _look(stage, _kept(stage))
 
     linear = integrated(stage, unit, "colour", shutter, spp, look, (0.0, 0.0, 0.0))
     channels = [optical(linear[..., c], sensor, camera) for c in range(3)]
@@ -98,10 +98,11 @@ def _automatic(channels: list[NDArray[np.float32]], target: float) -> float:
     return target / float(np.quantile(bright, 0.99)) if len(bright) else 1.0
 
 
-def _kept(stage: Stage, time_s: float) -> WhiteLight:
+def _kept(stage: Stage) -> WhiteLight:
     """Return the white light; a shift of the whole scene by millimetres does not change it."""
     if "white" not in stage.kept or stage.kept["white"][0] != stage.posed_s:
-        stage.kept["white"] = stage.posed_s, white_light(stage, time_s)
+        when = stage.rig.light.white_delay_s if stage.rigid else stage.posed_s
+        stage.kept["white"] = stage.posed_s, white_light(stage, when)
     light: WhiteLight = stage.kept["white"][1]
     return light
 
@@ -193,7 +194,10 @@ def _look(stage: Stage, white: WhiteLight) -> Look:
     """Return how a colour camera sees the scene."""
     mi: Any = backend.mitsuba()
     dr: Any = backend.drjit()
-    centres = mi.Float(white.panels.astype(np.float32).ravel())
+    # An even surround without panels has no glint, but the loop still needs something to read.
+    centres = mi.Float(
+        (white.panels if len(white.panels) else np.ones((1, 3))).astype(np.float32).ravel()
+    )
     count, power = dr.opaque(mi.UInt32, len(white.panels)), number(white.power)
 
     def look(rays: Rays, shift: Any, active: Any) -> tuple[Any, ...]:

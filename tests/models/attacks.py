@@ -93,6 +93,7 @@ STREAMS = {
     "dotted module": b"\x80\x04\x8c\x0dnumpy.ndarray\x8c\x04dump\x93.",
     "prefix of scipy": b"cscipy.sparse.csc\nos\n.",
     "prefix of chumpy": b"cchumpy.utils\ncol\n.",
+    "stack global of long words": b"\x80\x04X\xff\x0f\0\0" + b"\x1b" * 4095 + b"\x8c\x01x\x93.",
     "stack global of numbers": b"\x80\x04K\x01K\x02\x93.",
     "frame that lies": b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.",
     "protocol 6": b"\x80\x06}.",
@@ -228,8 +229,56 @@ def wide_line(size: int = 50 * 2**20) -> bytes:
     return b"V" + b"a" * size + b"\\U0001f600\n."
 
 
+def shared_bytes(times: int = 1000, size: int = 2**20) -> bytes:
+    """A byte string that a list holds again and again."""
+    data = b"T" + struct.pack("<i", size) + b"\0" * size + b"q\x00"
+    return b"\x80\x02}U\x01x" + data + b"sU\x01a(" + b"h\x00" * times + b"ls."
+
+
+def shared_text(times: int = 1000, size: int = 2**20) -> bytes:
+    """Arrays that share one text for their data."""
+    data = b"X" + struct.pack("<I", size) + b"a" * size + b"q\x00"
+    one = array(b"J" + struct.pack("<i", size // 8), b"h\x00")
+    return b"\x80\x02}U\x01x" + data + b"sU\x01a(" + one * times + b"ls."
+
+
+def nested_in_chumpy(item: bytes = b"K\x01", times: int = 100, width: int = 90) -> bytes:
+    """Chumpy objects whose value is one nested list of 730 thousand items."""
+    lists = b"("
+    for k in range(3):
+        lists += b"(" + (b"h" + bytes([k])) * width + b"lq" + bytes([k + 1])
+    one = b"cchumpy.ch\nCh\n)\x81(U\x01xh\x03db"
+    return b"\x80\x02}U\x01i" + item + b"q\x00sU\x01b" + lists + b"lsU\x01a(" + one * times + b"ls."
+
+
+def reshaped(times: int = 1000, size: int = 2**17) -> bytes:
+    """Chumpy objects that give one array of Fortran's order another shape: each is a copy."""
+    shape = b"J" + struct.pack("<i", size // 2) + b"K\x02t"
+    data = b"T" + struct.pack("<i", 8 * size) + b"\0" * (8 * size)
+    source = _ARRAY + b"(K\x01(" + shape + _F8 + b"I01\n" + data + b"tbq\x00"
+    one = b"cchumpy.reordering\nReshape\n)\x81(U\x01ah\x00U\x08newshape(J"
+    one += struct.pack("<i", size) + b"tdb"
+    return b"\x80\x02}U\x01x" + source + b"sU\x01a(" + one * times + b"ls."
+
+
+def wrapping_pointers() -> bytes:
+    """A sparse matrix whose pointers rise by 2^63 - 1 once differences of 64 bits wrap."""
+    ends = np.array([0, 2**63 - 1, -(2**63), -1, 1], dtype="<i8")
+    dtype = b"cnumpy\ndtype\n(U\x02i8K\x00K\x01tR"
+    pointers = array(b"K\x05", b"U\x28" + ends.tobytes(), dtype)
+    one = array(b"K\x01", b"U\x08" + bytes(8))
+    index = array(b"K\x01", b"U\x04" + bytes(4), _U4)
+    state = b"(U\x06_shapeK\x01K\x04\x86U\x04data" + one + b"U\x07indices" + index
+    state += b"U\x06indptr" + pointers + b"d"
+    return b"\x80\x02}U\x01acscipy.sparse.csc\ncsc_matrix\n)\x81" + state + b"bs."
+
+
 BOMBS = {
     "lying array": lying_array, "doubling": lambda: doubling(40), "wide": wide,
     "encoded": encoded, "swapped": swapped, "sparse": sparse, "selected": selected,
     "outside": outside, "wide text": wide_text, "wide line": wide_line,
+    "shared bytes": shared_bytes, "shared text": shared_text, "reshaped": reshaped,
+    "nested in chumpy": nested_in_chumpy,
+    "texts in chumpy": lambda: nested_in_chumpy(b"U\xff" + b"a" * 255, times=1),
+    "wrapping pointers": wrapping_pointers,
 }  # fmt: skip

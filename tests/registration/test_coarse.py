@@ -67,6 +67,24 @@ def test_reference_jacobian_by_finite_differences() -> None:
         np.testing.assert_allclose(jacobian[..., k], (ahead - behind) / (2 * h), atol=2e-5)
 
 
+def test_reference_rigid_jacobian_is_part_of_the_whole() -> None:
+    placed = thin().place(some_starts())
+    whole = thin().jacobian(placed)[..., [*range(6), 36]]
+    np.testing.assert_allclose(thin().rigid_jacobian(placed), whole, atol=1e-6)
+
+
+def test_reference_nearest_pairs_by_brute_force() -> None:
+    placed, (points, normals) = thin().place(some_starts(3)), scan_points(50)
+    vertex, point = coarse.pairs_of(placed.vertices, placed.normals, points, normals)
+    own = np.concatenate([placed.vertices, coarse.NORMAL_M * placed.normals], axis=-1)
+    other = np.concatenate([points, coarse.NORMAL_M * normals], axis=-1)
+    apart = np.linalg.norm(own[:, None] - other[:, None], axis=-1)
+    near = np.take_along_axis(apart, vertex[..., None], axis=2)[..., 0]
+    np.testing.assert_allclose(near, apart.min(axis=2), atol=1e-6)
+    near = np.take_along_axis(apart, point[:, None], axis=1)[:, 0]
+    np.testing.assert_allclose(near, apart.min(axis=1), atol=1e-6)
+
+
 def test_properties_vectors_and_back() -> None:
     starts = some_starts()
     again = thin().from_vectors(thin().to_vectors(starts))

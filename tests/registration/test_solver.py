@@ -14,8 +14,9 @@ from synthgen.registration.schedule import (
     rigid_basis,
     run_stage,
 )
-from synthgen.registration.solver import Energy, Method, minimise, wrapped
-from synthgen.registration.terms import GaussianPrior, KeypointTerm, shape_prior
+from synthgen.registration.solver import MAX_TRIALS, Energy, Method, minimise, wrapped
+from synthgen.registration.surface import Placed
+from synthgen.registration.terms import Block, GaussianPrior, KeypointTerm, shape_prior
 from tests.registration.hands import error_mm, model, rng, scan, surface, truth
 
 METHODS: tuple[Method, ...] = ("lm", "dogleg")
@@ -87,3 +88,27 @@ def test_edge_unknown_preset_and_components() -> None:
         preset_named("fats")
     with pytest.raises(ShapeError, match="6 to 45"):
         pca_basis(surface(), 3)
+
+
+class Refusing:
+    """Costs more at every look, so that no step is kept; the residual is ``residual`` times 1."""
+
+    def __init__(self, residual: float) -> None:
+        self.residual, self.looks = residual, 0
+
+    def match(self, placed: Placed) -> None:
+        self.looks += 1
+
+    def cost(self, placed: Placed, match: None) -> float:
+        return 1.0 + self.looks
+
+    def blocks(self, placed: Placed, match: None) -> list[Block]:
+        return [Block(np.array([self.residual]), np.eye(1, placed.surface.n), np.ones(1))]
+
+
+@pytest.mark.parametrize(("residual", "tries"), [(1.0, MAX_TRIALS), (1e-3, 1)])
+def test_properties_a_step_without_promise_is_not_shortened(residual: float, tries: int) -> None:
+    term = Refusing(residual)
+    found = minimise(Energy(surface(), [term]), truth(), iterations=3)
+    assert found.reason == "stuck"
+    assert term.looks == 1 + tries

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from speckle import Sphere
 
 from synthgen.errors import ScanError, ShapeError
 from synthgen.geometry.cameras import camera_from_K, pixel_rays
@@ -17,7 +16,9 @@ from synthgen.geometry.transforms import look_at
 from synthgen.scanner.atlas import build_atlas
 from synthgen.scanner.colour import UNSEEN, Coloured, ColourView, colour_vertices, sample
 from synthgen.scanner.files import save_scan
+from synthgen.scanner.glass import shifted_origins
 from synthgen.scanner.result import Scan, empty_scan
+from synthgen.scanner.rig import Glass
 from synthgen.scanner.segment import CropPlane, is_green, segment, wrist_plane
 
 RADIUS = 0.02
@@ -34,15 +35,21 @@ def paint(points: Any) -> Any:
 
 def picture_of_ball(azimuth: float) -> ColourView:
     a = np.deg2rad(azimuth)
+    return picture_from(0.4 * np.array([np.sin(a), 0, np.cos(a)]))
+
+
+def picture_from(eye: Any, glass: Glass | None = None) -> ColourView:
     K = np.array([[900.0, 0, 100], [0, 900, 80], [0, 0, 1]])
-    camera = camera_from_K(
-        K, 200, 160, look_at(0.4 * np.array([np.sin(a), 0, np.cos(a)]), np.zeros(3))
-    )
-    origin, rays = pixel_rays(camera)
-    t = Sphere(RADIUS)(origin, rays)
-    points = origin + rays * np.nan_to_num(t)[..., None]
-    shown = np.where(np.isfinite(t)[..., None], paint(points), 0)
-    return ColourView(camera, np.rint(shown).astype(np.uint8))
+    camera = camera_from_K(K, 200, 160, look_at(eye, np.zeros(3)))
+    _, rays = pixel_rays(camera)
+    ways = rays.reshape(-1, 3)
+    starts = shifted_origins(glass, camera.position, ways)
+    along = -np.einsum("nk,nk->n", starts, ways)
+    under = along**2 - (starts**2).sum(axis=1) + RADIUS**2
+    t = along - np.sqrt(np.where(under > 0, under, np.nan))
+    points = starts + ways * np.nan_to_num(t)[:, None]
+    shown = np.where(np.isfinite(t)[:, None], paint(points), 0).reshape(rays.shape)
+    return ColourView(camera, np.rint(shown).astype(np.uint8), glass)
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +79,18 @@ def test_reference_colours_are_those_of_the_surface(scanned: Any) -> None:
     assert np.abs(scan.colors[off_rim].astype(float) - paint(scan.vertices[off_rim])).max() < 4
     assert (scan.colors[~seen] == UNSEEN).all()
     assert (scan.vertices[~seen][:, 2] < 0.012).all()
+
+
+def test_reference_colours_through_glass() -> None:
+    """A slanted look up through a floor: what is coloured is what the refracted ray met."""
+    glass = Glass(top_m=-0.022, thickness_m=0.02, ior=1.52)
+    view = picture_from(np.array([0.2, -0.3, 0.15]), glass)
+    points = np.asarray(BALL.vertices)
+    coloured = colour_vertices(points, points / RADIUS, FACES, [view])
+    inner = coloured.facing[:, 0] > 0.4
+    assert inner.mean() > 0.25
+    inner &= np.abs(points[:, 1] + 0.005) > 0.0006
+    assert np.abs(coloured.colors[inner].astype(float) - paint(points[inner])).max() < 4
 
 
 def test_properties_each_vertex_takes_the_view_that_faces_it(scanned: Any) -> None:

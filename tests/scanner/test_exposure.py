@@ -54,14 +54,20 @@ def test_smoke_pictures() -> None:
     assert inside[0] > inside[1] > inside[2] > 60  # skin
 
 
-def test_properties_same_seed_same_bytes_in_any_order() -> None:
-    rig, scene = mini(), ScanScene((solid_from_mesh(skin()),))
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_properties_same_seed_same_bytes_in_any_order(speed: float) -> None:
+    """Also where the subject moves and the units do not fire together."""
+    rig = replace(mini(), sync_s=0.00075)
+    scene = moved(ScanScene((solid_from_mesh(skin()),)), (speed, 0.0, 0.0))
     first, second = staged(scene, rig, Effects()), staged(scene, rig, Effects())
     a = [expose(first, unit) for unit in rig.units]
     b = [expose(second, unit) for unit in reversed(rig.units)][::-1]
     for one, other in zip(a, b, strict=True):
         assert np.array_equal(one.left, other.left)
         assert np.array_equal(one.right, other.right)
+    colours = [expose_colour(first, unit) for unit in rig.units]
+    again = [expose_colour(second, unit) for unit in reversed(rig.units)][::-1]
+    assert all(np.array_equal(*pair) for pair in zip(colours, again, strict=True))
     other = expose(staged(scene, rig, Effects(), seed=6), rig.units[0])
     assert not np.array_equal(a[0].left, other.left)
 

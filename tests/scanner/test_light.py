@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from synthgen.errors import ConfigError
+from synthgen.geometry.cameras import camera_from_K, project
 from synthgen.render import backend
 from synthgen.scanner import ScanScene, light_reference, solid_from_mesh
-from synthgen.scanner.camera import Lens, speckle_look
+from synthgen.scanner.camera import Lens, speckle_look, undistort_steps
 from synthgen.scanner.mesh import drawn_mesh
 from synthgen.scanner.rig import Rig
 from synthgen.scanner.softlight import soft_light
@@ -70,6 +72,23 @@ def test_reference_through_glass() -> None:
     assert (wanted > 0.01).sum() > 40
     off = np.abs(got - wanted) > 2e-3
     assert off.mean() < 0.004
+
+
+@pytest.mark.parametrize("k1", [-0.1, 0.15])
+def test_reference_rays_of_wide_lenses(k1: float) -> None:
+    """A ray goes where the calibration says, also at the corners of a field of 89 degrees."""
+    K = np.array([[431.0, 0, 423.5], [0, 431, 239.5], [0, 0, 1]])
+    usual = mini().units[0].true.left
+    wide = camera_from_K(K, 848, 480, usual.T, np.array([k1, 0.0, 0, 0, 0]))
+    stage = prepare(ball_before_wall(), mini(), rng=np.random.Generator(np.random.Philox(1)))
+    mi = backend.mitsuba()
+    x, y = (g.ravel() for g in np.meshgrid(np.linspace(0, 847, 12), np.linspace(0, 479, 8)))
+    rays = Lens(stage, wide).rays(mi.Float(x), mi.Float(y), mi.Vector3f(0))
+    there, _ = project(wide, wide.position + np.array(rays.way).T.astype(np.float64))
+    assert np.abs(there - np.stack([x, y], axis=1)).max() < 2e-3
+    assert undistort_steps(usual) == 6, "rigs of usual lenses share a kernel"
+    with pytest.raises(ConfigError, match="folds the picture"):
+        undistort_steps(replace(wide, distortion=(-0.12, 0.0, 0.0, 0.0, 0.0)))
 
 
 def test_properties_a_shadow_falls_on_the_wall() -> None:

@@ -12,12 +12,16 @@ import trimesh
 from synthgen.errors import ConfigError
 from synthgen.sampling.streams import stream
 from synthgen.scanner import Scan, load_rig, scan, settings_for
+from synthgen.scanner.calibration import volume_points
+from synthgen.scanner.evaluate import pair_figures
+from synthgen.scanner.ideal import project_through
 from synthgen.scanner.load import build_rig, list_rigs, read_spec
 from synthgen.scanner.match import MatchSettings
 from synthgen.scanner.pattern import slide
-from synthgen.scanner.rectify import rectify, rectify_images
+from synthgen.scanner.rectify import rectified_pixels, rectify, rectify_images
 from synthgen.scanner.rig import Pattern, Rig
-from synthgen.scanner.rows import RowOffset, find_row_offset
+from synthgen.scanner.rows import RowOffset, find_row_offset, refracted_rows
+from tests.scanner.small import from_below
 
 H, W = 240, 320
 SEARCH = MatchSettings(rows=4)
@@ -99,6 +103,41 @@ def test_properties_no_draw_is_lost_where_rows_are_searched() -> None:
     assert rig.draws == 1
     assert rig.error.epipolar_limit_px == 3.0
     assert 0.4 < max(rig.epipolar_px) < 3.0
+
+
+def test_reference_glass_moves_rows_by_a_known_amount() -> None:
+    """The second unit's eyes look through the floor at different angles: 0.4 pixels."""
+    rig = from_below(load_rig("mini"))
+    assert rig.glass is not None
+    points = volume_points(rig.volume_m, 5)
+    points = points[points[:, 1] > rig.glass.top_m]
+    for unit, apart in zip(rig.units, (0.0, 0.4), strict=True):
+        eyes = unit.nominal.left, unit.nominal.right
+        pair = rectify(*eyes)
+        known = refracted_rows(pair, rig.glass, rig.volume_m)
+        assert known is not None
+        a, b = (
+            rectified_pixels(pair, k, project_through(rig.glass, eye, points))
+            for k, eye in enumerate(eyes)
+        )
+        off = (b - a)[:, 1]
+        assert np.sqrt(np.mean(off**2)) == pytest.approx(apart, abs=0.05)
+        column, row = np.clip(np.rint(b), 0, [255, 191]).astype(int).T
+        assert np.abs(off - known.over((192, 256))[row, column]).max() < 0.1
+    above = load_rig("mini").units[0].nominal
+    straight = rectify(above.left, above.right)
+    assert refracted_rows(straight, rig.glass, rig.volume_m) is None, "from above"
+    assert refracted_rows(straight, None, rig.volume_m) is None
+
+
+def test_properties_pairs_below_glass_match_as_well_as_others() -> None:
+    rig = from_below(load_rig("mini"))
+    exact = replace(rig, units=tuple(replace(u, true=u.nominal) for u in rig.units))
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.018)
+    settings = replace(settings_for(exact), colour=False, true_disparity=True)
+    found = scan(mesh, exact, rng=stream(0, "sample", 0, 0, "scan"), settings=settings)
+    one, other = (pair_figures(unit).core_mm for unit in found.units)
+    assert other < 1.5 * one
 
 
 def test_edge_no_draw_is_good_enough() -> None:

@@ -15,6 +15,7 @@ from speckle import Sphere, ring_of_grids
 
 from synthgen.errors import ScanError
 from synthgen.geometry.topology import boundary_edges
+from synthgen.sampling.streams import stream
 from synthgen.scanner import tsdf
 from synthgen.scanner.isosurface import extract
 from synthgen.scanner.provenance import measured_by, truth_of
@@ -185,6 +186,25 @@ def test_edge_empty(front: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tsdf, "MOST_VOXELS", 10_000)
     with pytest.raises(ScanError, match="larger voxel"):
         fuse(front, SETTINGS)
+
+
+@pytest.mark.parametrize("reach", [3.0, 5.0, 9.0])
+def test_properties_every_brick_within_reach_is_laid_out(reach: float) -> None:
+    """Also where the reach is longer than half a brick: none in the middle is left out."""
+    middle = np.full((1, 3), 5.5 * BRICK)
+    found = tsdf._touched([middle], np.zeros(3), BRICK, reach)
+    near = np.argwhere(np.ones((11, 11, 11)))
+    away = np.abs(BRICK * (near + 0.5) - middle).max(axis=1) - BRICK / 2
+    assert found.tolist() == near[away <= reach].tolist()
+
+
+def test_edge_distances_of_exactly_nothing() -> None:
+    """A face in the outermost plane of voxels belongs to the last cube."""
+    rng = stream(0, "sample", 0, 0, "voxels")
+    for _ in range(20):
+        values = np.rint(rng.standard_normal((1, BRICK, BRICK, BRICK))).astype(np.float32)
+        vertices, _ = extract(Field(np.zeros(3), 1.0, np.zeros((1, 3), np.int64), values), 1)
+        assert 0 <= vertices.min() <= vertices.max() <= BRICK - 1
 
 
 def test_properties_small_gaps_are_bridged_and_wide_ones_stay() -> None:

@@ -70,3 +70,13 @@ def test_reference_irradiance_and_shadow_of_a_panel() -> None:
         share = np.array(white_light(stage, 0.0).normals).reshape(-1, 4)[:, 3]
         at = np.linalg.norm(stage.vertices, axis=1) < 0.002
         assert share[at].mean() == pytest.approx(middle, abs=0.01)
+
+
+def test_edge_no_panels_are_an_even_surround() -> None:
+    rig = replace(mini(), light=replace(mini().light, white=()))
+    scene = ScanScene((solid_from_mesh(ball(0.02, (0, 0, 0)), replace(SKIN, rgb=(0.5, 0.3, 0.2))),))
+    picture = pictured(scene, rig).astype(float)
+    middle, rim = picture[85:105, 118:138], picture[90:102, 82:88]
+    assert middle.reshape(-1, 3).std(axis=0).max() < 12
+    assert rim.mean() > 0.85 * middle.mean()
+    assert middle[..., 0].mean() > middle[..., 1].mean() > middle[..., 2].mean()
