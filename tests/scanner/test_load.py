@@ -57,6 +57,22 @@ def test_reference_what_the_papers_say(name: str) -> None:
     assert "units" in rig.own_choices
 
 
+@pytest.mark.parametrize(("name", "point", "normal"), [
+    ("head6", (0.0, 0.14, 0.0), (0, 1, 0)),  # the crown
+    ("head6", (0.0, -0.05, 0.1), (0, 0, 1)),  # the lips
+    ("foot10", (0.0, -0.09, 0.12), (0, 0, 1)),  # the tips of the toes
+    ("foot10", (0.0, -0.1, 0.0), (0, -1, 0)),  # the sole
+    ("foot10", (0.05, -0.06, -0.05), (1, 0, 0)),
+])  # fmt: skip
+def test_properties_pairs_see_squarely(name: str, point: Any, normal: Any) -> None:
+    """Some pair looks at what the scanner is for at less than 60 degrees, with both cameras."""
+    cosines = []
+    for unit in load_rig(name).units:
+        ways = [c.position - np.array(point) for c in (unit.nominal.left, unit.nominal.right)]
+        cosines.append(min(float(way @ normal / np.linalg.norm(way)) for way in ways))
+    assert max(cosines) > 0.5
+
+
 def test_properties_a_seed_is_one_scanner() -> None:
     a, b, other = load_rig("mini", 3), load_rig("mini", 3), load_rig("mini", 4)
     assert a == b

@@ -1,4 +1,4 @@
-"""The other rigs run from mesh to scan at reduced resolution, as ``synthgen bench rigs`` shows."""
+"""The other rigs run from mesh to scan at half resolution, as ``synthgen bench rigs`` shows."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ MOST_MB = 3000
 # Largest RMS, largest 99 % quantile (millimetres), least share of what is seen that the scan has,
 # fewest vertices.
 BOUNDS = {
-    "body22": (1.4, 4.5, 0.96, 100_000),
-    "head6": (0.4, 1.1, 0.94, 40_000),
-    "foot10": (0.45, 2.0, 0.97, 18_000),
+    "body22": (1.2, 4.0, 0.97, 200_000),
+    "head6": (0.42, 1.2, 0.98, 45_000),
+    "foot10": (0.36, 1.3, 0.98, 38_000),
     "consumer": (2.0, 8.0, 0.8, 3_500),
 }
 
