@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from synthgen.errors import ScanError, ShapeError
 from synthgen.geometry.cameras import camera_from_K, pixel_rays
@@ -145,6 +146,12 @@ def test_smoke_files_open_elsewhere(scanned: Any, tmp_path: Path, ending: str) -
         assert np.array_equal(image, scan.texture)
         uv = np.asarray(mesh.visual.uv)[np.asarray(mesh.faces)]
         assert uv == pytest.approx(scan.corner_uv, abs=1e-5)
+        # The reader's own look-up in the picture: which way up it is.
+        looked_up = np.asarray(mesh.visual.to_color().vertex_colors)[:, :3].astype(float)
+        row = cKDTree(scan.vertices).query(mesh.vertices)[1]
+        facing = scanned[1].facing[row].max(axis=1) > 0.5
+        error = np.abs(looked_up - paint(np.asarray(mesh.vertices))).max(axis=1)[facing]
+        assert np.quantile(error, 0.9) < 12
 
 
 def test_reference_green_rule() -> None:
@@ -180,6 +187,8 @@ def test_edge_nothing_left(scanned: Any, tmp_path: Path) -> None:
         save_scan(gone, tmp_path / "scan.ply")
     with pytest.raises(ScanError, match=r"endings are \.ply"):
         save_scan(scan, tmp_path / "scan.stl")
+    with pytest.raises(ScanError, match=r"there is no folder .*nowhere; make it"):
+        save_scan(scan, tmp_path / "nowhere" / "scan.ply")
     with pytest.raises(ScanError, match="black"):
         save_scan(empty_scan((), "full", "black pictures"), tmp_path / "scan.ply")
     with pytest.raises(ShapeError, match="direction"):
