@@ -122,7 +122,7 @@ def put_in_rig(subject: HandSubject, spin_rad: float = 0.0, lean_rad: float = 0.
     ----------
     subject : HandSubject
     spin_rad : float
-        About the upright, after the back of the hand faces +z.
+        About the upright, after the back of a right hand, or the palm of a left one, faces +z.
     lean_rad : float
         Of the fingers from the upright, towards +x, before the spin.
     """
@@ -136,7 +136,7 @@ def rig_from_world(
     """Return the rotation (3, 3) and shift (3,) of :func:`put_in_rig`, ``p -> R p + shift``."""
     hand = hand_solid(subject)
     joints = hand.joints
-    up = joints[[4, 7]].mean(axis=0) - joints[0]  # index and middle finger's knuckles
+    up = joints[[4, 7]].mean(axis=0) - joints[0]  # middle and little finger's knuckles
     across = np.cross(up, joints[1] - joints[7])
     frame = [_unit(v) for v in (up, across)]
     side = np.cross(frame[0], frame[1])
