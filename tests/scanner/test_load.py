@@ -103,6 +103,7 @@ FAULTS = {
     "fine dots": (lambda t: t.replace("dot_m: 0.0016", "dot_m: 0.00001"), "larger dots"),
     "no picture": (lambda t: t.replace("kind: speckle", "kind: image"), "`image` names a file"),
     "no draw": (lambda t: t + "error: {translation_m: 0.02}\n", "none of 200 calibration draws"),
+    "even window": (lambda t: t.replace("window_px: 11", "window_px: 12"), "a middle pixel"),
     "not YAML": (lambda _: "a: [", "unreadable YAML"),
 }  # fmt: skip
 

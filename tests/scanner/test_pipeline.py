@@ -185,3 +185,29 @@ def test_edge_outside_the_volume() -> None:
 def test_edge_unknown_level() -> None:
     with pytest.raises(ConfigError, match="levels are full, half, model"):
         settings_for(load_rig("mini"), "quarter")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value", "words"),
+    [
+        ("fusion", "voxel_m", 0.0, "above 0 metres"),
+        ("fusion", "truncation", 0.5, "1 voxel"),
+        ("match", "step", 0, "1 pixel"),
+        ("match", "block", 8, "an odd number"),
+        ("match", "seed_scale", 4, "1 or 2"),
+        ("match.dic", "window", 12, "an odd number"),
+        ("match.dic", "order", 3, "affine"),
+        ("match.dic", "iterations", 0, "1 or more"),
+        ("grid", "bridge", -1, "0 or more"),
+    ],
+)
+def test_edge_settings_that_give_no_scan(part: str, name: str, value: Any, words: str) -> None:
+    settings = settings_for(load_rig("mini"))
+    changed: Any = {name: value}
+    if part == "match.dic":
+        changed = {"dic": replace(settings.match.dic, **changed)}
+    section = part.partition(".")[0]
+    with pytest.raises(ConfigError, match=rf"{part}\.{name} = {value}; allowed is.*{words}"):
+        replace(settings, **{section: replace(getattr(settings, section), **changed)})
+    with pytest.raises(ConfigError, match="keeps holes"):
+        replace(settings, fill_voxels=-1.0)
