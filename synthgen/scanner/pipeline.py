@@ -179,11 +179,15 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
 
 
 def depth_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
-    """Return the depths, metres, between which the working volume lies for a pair."""
+    """Return the depths, metres, between which the working volume lies for a pair.
+
+    What is nearer than two baselines is left out, as long as half of the depth remains.
+    """
     edges = np.array(rig.volume_m) / 2
     corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * edges - edges
     depth = (corners - pair.camera.position) @ pair.camera.T[:3, 2]
-    return max(float(depth.min()), 2 * pair.baseline_m), float(depth.max())
+    far = float(depth.max())
+    return max(float(depth.min()), min(2 * pair.baseline_m, far / 2)), far
 
 
 def disparity_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import trimesh
 
 from synthgen.errors import ConfigError, ScanError, ShapeError
 from synthgen.sampling.streams import stream
-from synthgen.scanner import Scan, load_rig, scan, settings_for
+from synthgen.scanner import Scan, list_rigs, load_rig, scan, settings_for
 from synthgen.scanner.evaluate import (
     coverage,
     pair_figures,
@@ -22,7 +23,7 @@ from synthgen.scanner.evaluate import (
     surface_samples,
 )
 from synthgen.scanner.match import FAST
-from synthgen.scanner.pipeline import disparity_bounds
+from synthgen.scanner.pipeline import depth_bounds, disparity_bounds
 from synthgen.scanner.rectify import rectify
 from synthgen.scanner.rig import Rig
 from synthgen.scanner.stage import prepare
@@ -174,6 +175,20 @@ def test_edge_too_small_a_disparity_range_is_told() -> None:
     found = scanned(near, mesh=trimesh.util.concatenate([plate, speck]))
     told = [unit.problem for unit in found.units if unit.problem]
     assert any("disparity range is too small" in text for text in told)
+
+
+@pytest.mark.parametrize("matcher", ["sgbm", "census"])
+def test_edge_units_nearer_than_two_baselines(matcher: str, tmp_path: Path) -> None:
+    near = list_rigs()["mini"].read_text().replace("distance_m: 0.6", "distance_m: 0.2")
+    path = tmp_path / "near.yaml"
+    path.write_text(near.replace("matcher: sgbm", f"matcher: {matcher}"))
+    rig = load_rig(path)
+    for unit in rig.units:
+        pair = rectify(unit.nominal.left, unit.nominal.right)
+        low, high = disparity_bounds(rig, pair)
+        assert low < float(pair.disparity(depth_bounds(rig, pair)[1] - 0.05)) < high
+    found = scanned(rig, colour=False)
+    assert all(u["matched"] > 500 for u in found.report["units"].values())
 
 
 def test_edge_outside_the_volume() -> None:
