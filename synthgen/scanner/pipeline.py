@@ -13,6 +13,7 @@ from synthgen.errors import ScanError
 from synthgen.geometry.normals import vertex_normals
 from synthgen.sampling.streams import stream
 from synthgen.scanner.atlas import build_atlas
+from synthgen.scanner.calibration import in_frame, volume_points
 from synthgen.scanner.census import match_census
 from synthgen.scanner.colour import ColourView, colour_vertices
 from synthgen.scanner.exposure import Exposure, expose, unit_time
@@ -244,6 +245,12 @@ def _doubt(
     share = float((grid.matched & textured).sum() / max(textured.sum(), 1))
     if share >= LEAST_MATCHED:
         return None
+    points = volume_points(rig.volume_m, 9)
+    if not (in_frame(pair.left, points) & in_frame(pair.right, points)).any():
+        return (
+            "its two cameras see no part of the working volume together: aim them at it "
+            "(`pair.axes: toed_in` or `shifted`), or choose a smaller baseline or a wider field"
+        )
     near, far = depth_bounds(rig, pair)
     low, high = disparity_bounds(rig, pair)
     return (

@@ -177,6 +177,16 @@ def test_edge_too_small_a_disparity_range_is_told() -> None:
     assert any("disparity range is too small" in text for text in told)
 
 
+def test_edge_cameras_that_look_past_each_other_are_told(tmp_path: Path) -> None:
+    text = list_rigs()["mini"].read_text()
+    path = tmp_path / "parallel.yaml"
+    path.write_text(text.replace("baseline_m: 0.12", "baseline_m: 0.12\n  axes: parallel"))
+    found = scanned(load_rig(path), colour=False)
+    assert "unit right: its two cameras see no part of the working volume together" in str(
+        found.problem
+    )
+
+
 @pytest.mark.parametrize("matcher", ["sgbm", "census"])
 def test_edge_units_nearer_than_two_baselines(matcher: str, tmp_path: Path) -> None:
     near = list_rigs()["mini"].read_text().replace("distance_m: 0.6", "distance_m: 0.2")
