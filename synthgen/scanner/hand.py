@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from synthgen.models import ManoModel, load_hand, pose_surface
+from synthgen.render.sensor import LUMINANCE
 from synthgen.render.skin import material
 from synthgen.scanner.cap import cut_and_cap
 from synthgen.scanner.segment import CropPlane, wrist_plane
@@ -25,7 +26,6 @@ from synthgen.scene.surface import DrawnSurface
 
 Array = NDArray[np.float64]
 BEHIND_WRIST_M = 0.03
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def hand_solid(
     stacked = np.concatenate([whole, rgb], axis=1)
     cut = cut_and_cap(stacked, drawn.refined_faces, plane)
     place, colours = np.ascontiguousarray(cut.vertices[:, :3]), cut.vertices[:, 3:]
-    grey = float(np.median(colours @ _LUMINANCE))
+    grey = float(np.median(colours @ LUMINANCE))
     look = replace(surface, albedo=grey, roughness=subject.skin.roughness)
     normals = vertex_normals(place, cut.faces)
     solid = Solid(place, cut.faces, normals, look, "subject", None, colours)
