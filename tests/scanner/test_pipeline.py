@@ -76,6 +76,8 @@ def test_properties_pairs_are_measured_well(full: Scan) -> None:
         assert figures.complete > 0.7
         assert figures.core_mm < 0.5
         assert abs(figures.bias_mm) < 0.2
+    with pytest.raises(ScanError, match="unit front has no true disparities"):
+        pair_figures(replace(full.units[0], true_disparity=None))
 
 
 def test_properties_same_seed_same_bytes(full: Scan) -> None:
