@@ -121,9 +121,10 @@ class RenderSettings(Section):
     diffusion: bool = False
     """Spread light under the skin, in the picture. In full true."""
 
-    sensor_depth: Literal["off", "model", "full"] = "off"
+    sensor_depth: Literal["off", "model", "half", "full"] = "off"
     """What a D4xx-like depth camera at each view reports, beside the exact depth: `full` projects
-    dots and matches pictures, `model` adds errors fitted to that; the rig is `consumer`."""
+    dots and matches pictures, `half` does so with half the pixels along each edge, `model` adds
+    errors fitted to `full`; the rig is `consumer`."""
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
     """Mitsuba variant; ``auto`` takes CUDA where it works and LLVM elsewhere."""

@@ -13,6 +13,7 @@ from synthgen.corpus.columns import ScannedView, depth_steps, png
 from synthgen.geometry.normals import vertex_normals
 from synthgen.models import ManoModel, load_hand
 from synthgen.render.renderer import RenderedView
+from synthgen.render.sensor import LUMINANCE
 from synthgen.render.solids import NOWHERE_M, place_solids, thing_solids, worn_solids
 from synthgen.render.solids import Solid as DrawnSolid
 from synthgen.sampling.draw import surface_of
@@ -28,7 +29,6 @@ RIG = "consumer"
 Attempt = Callable[[SampleSpec], tuple[str | None, list[RenderedView]]]
 # Cloth, metal, wood and clay alike: a sensor sees grey, matt things.
 THING = Surface(0.4, specular=0.2, subsurface=0.0)
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 class DepthSensing:
@@ -79,7 +79,7 @@ def _hand(model: ManoModel, subject: HandSubject) -> Solid:
     drawn = DrawnSurface.for_model(model)
     relief = relief_of(model, subject.skin, np.array(subject.pose))
     vertices = _exact(drawn.refine(surface_of(model, subject), relief))
-    grey = float(np.array(subject.skin.dorsal_rgb) @ _LUMINANCE)
+    grey = float(np.array(subject.skin.dorsal_rgb) @ LUMINANCE)
     skin = Surface(grey, roughness=subject.skin.roughness)
     return Solid(vertices, drawn.refined_faces, vertex_normals(vertices, drawn.refined_faces), skin)
 
@@ -95,7 +95,7 @@ def _stand(solid: DrawnSolid, look: Surface) -> Solid:
 
 def _grey(background: Background) -> float:
     colours = np.array([background.colour_rgb, background.accent_rgb])
-    return float(np.clip((colours @ _LUMINANCE).mean(), 0.02, 0.95))
+    return float(np.clip((colours @ LUMINANCE).mean(), 0.02, 0.95))
 
 
 def _exact(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ MIDDLE_GREY = 0.2
 _KNEE = 0.6
 # Luminance that the brightest fiftieth of the picture is exposed to at most.
 _BRIGHTEST = 1.15
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # Adaptation is not complete in cameras either.
 _BALANCED = 0.75
 _DARKEST_ALBEDO = 0.04
@@ -33,7 +33,7 @@ def exposure_of(linear: NDArray[Any]) -> float:
     Half geometric, half arithmetic mean, weighted towards the centre; limited so that the 98th
     percentile of luminance is not lifted beyond 1.15.
     """
-    luminance = np.asarray(linear, np.float64) @ _LUMA
+    luminance = np.asarray(linear, np.float64) @ LUMINANCE
     height, width = luminance.shape
     y, x = np.mgrid[:height, :width]
     r2 = ((x + 0.5) / width - 0.5) ** 2 + ((y + 0.5) / height - 0.5) ** 2
@@ -59,7 +59,7 @@ def balance_of(linear: Image, albedo: Image | None, sensor: Sensor) -> Array:
     if lit.sum() < 100:
         return factors
     light = np.median(linear[lit] / albedo[lit], axis=0)
-    wanted = (float(light @ _LUMA) / np.maximum(light, 1e-9)) ** _BALANCED
+    wanted = (float(light @ LUMINANCE) / np.maximum(light, 1e-9)) ** _BALANCED
     return np.asarray(factors * np.clip(wanted, 0.4, 2.5))
 
 

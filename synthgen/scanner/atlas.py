@@ -21,7 +21,7 @@ class Atlas:
 
     Attributes
     ----------
-    texture : (T, T, 3) uint8 sRGB
+    texture : (H, W, 3) uint8 sRGB
         Row 0 is the top.
     uv : (V, 2) float32
         Each vertex in the crop of its own view; origin bottom left. A face whose corners chose

@@ -16,13 +16,13 @@ from synthgen.errors import ModelError, ShapeError, nearest
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.subdivision import InterpolatingSubdivision
 from synthgen.models import BodyModel, attachments_of, deform_feet, dressed, feet_of
+from synthgen.render.sensor import LUMINANCE
 from synthgen.scanner.cap import cut_and_cap
 from synthgen.scanner.rig import Rig
 from synthgen.scanner.segment import CropPlane
 from synthgen.scanner.subject import SKIN, ScanScene, Solid, Surface, placed
 
 Array = NDArray[np.float64]
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # How far a foot that stands would go through the ground if it did not give way.
 PRESSED_M = 0.003
 
@@ -155,7 +155,7 @@ def _solid(
     place = np.ascontiguousarray(stacked[:, :3])
     rest = None if colours is None else stacked[:, 3:]
     if surface is None and rest is not None:
-        surface = Surface(float(np.median(rest @ _LUMINANCE)), specular=0.2, subsurface=0.0)
+        surface = Surface(float(np.median(rest @ LUMINANCE)), specular=0.2, subsurface=0.0)
     return Solid(
         place, triangles, vertex_normals(place, triangles), surface or SKIN, "subject", None, rest
     )

@@ -21,7 +21,7 @@ from synthgen.render import backend
 from synthgen.scanner.glass import normal_shift, thickness_for, transmittance
 from synthgen.scanner.light import LIFT_M, Gloss, irradiance, number
 from synthgen.scanner.rig import Sensor
-from synthgen.scanner.softlight import SoftLight
+from synthgen.scanner.softlight import SoftLight, share_of
 from synthgen.scanner.stage import Stage
 
 Array = NDArray[np.float64]
@@ -245,8 +245,8 @@ def integrate(
     def sample(i: Any, *totals: Any) -> tuple[Any, ...]:
         a, b = mi.sample_tea_32(index ^ salt, i)
         turn, _ = mi.sample_tea_32(index ^ salt, count)
-        x = column - 0.5 + (mi.Float(i % side) + _share(a)) / mi.Float(side)
-        y = row - 0.5 + (mi.Float(i // side) + _share(b)) / mi.Float(side)
+        x = column - 0.5 + (mi.Float(i % side) + share_of(a)) / mi.Float(side)
+        y = row - 0.5 + (mi.Float(i // side) + share_of(b)) / mi.Float(side)
         stratum = mi.Float((i + turn) % count) + mi.Float(((a & 0xFF) << 8) | (b & 0xFF)) / 65536
         time = opening + late + (stratum / mi.Float(count) - 0.5) * exposure
         now = (time >= begin) & (time < end)
@@ -259,10 +259,6 @@ def integrate(
     _, *totals = dr.while_loop((first, *zero), lambda i, *_: i < count, sample, label="samples")
     dr.eval(totals)
     return np.stack([np.array(total) for total in totals], axis=1)
-
-
-def _share(word: Any) -> Any:
-    return backend.mitsuba().Float(word >> 8) * (2.0**-24)
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ def match_census(
     cost = _costs(own, other, low, high - low + 1)
     size = (s.block, s.block)
     for k in range(cost.shape[2]):
-        cost[:, :, k] = cv2.boxFilter(cost[:, :, k], -1, size) * 8
+        cost[:, :, k] = cv2.boxFilter(cost[:, :, k], -1, size, normalize=False)
     total = _paths(cost, float(s.small_jump), float(s.large_jump))
     found = _pick(total, low, s.uniqueness, s.difference)
     known = np.isfinite(found)
@@ -86,7 +86,7 @@ def census(image: NDArray[Any]) -> NDArray[np.uint32]:
 def _costs(own: Any, other: Any, low: int, count: int) -> Any:
     """Hamming distances (H, W, count), 24 where the other picture ends; float32 for the filter."""
     height, width = own.shape
-    cost = np.full((height, width, count), np.float32(24 / 8))
+    cost = np.full((height, width, count), np.float32(24))
     for y in range(height):
         for x in range(width):
             for k in range(count):
@@ -97,7 +97,7 @@ def _costs(own: Any, other: Any, low: int, count: int) -> Any:
                     v = (v & np.uint32(0x33333333)) + ((v >> np.uint32(2)) & np.uint32(0x33333333))
                     v = (v + (v >> np.uint32(4))) & np.uint32(0x0F0F0F0F)
                     bits = (v * np.uint32(0x01010101) & np.uint32(0xFFFFFFFF)) >> np.uint32(24)
-                    cost[y, x, k] = np.float32(bits) / 8
+                    cost[y, x, k] = np.float32(bits)
     return cost
 
 

@@ -27,11 +27,12 @@ from synthgen.scanner.match import DisparityGrid
 from synthgen.scanner.noise import add_noise, load_noise, strength_on
 from synthgen.scanner.rectify import Rectified
 from synthgen.scanner.rig import Calibration, Rig, Unit
-from synthgen.scanner.scaling import scale_camera
+from synthgen.scanner.scaling import scale_camera, scaled
+from synthgen.scanner.settings import check_level
 from synthgen.scanner.stage import Effects, prepare
 from synthgen.scanner.subject import ScanScene, placed
 
-DepthLevel = Literal["full", "model"]
+DepthLevel = Literal["full", "half", "model"]
 _LARGEST_DISPARITY = 126
 # Islands of fewer pixels, more than a pixel of disparity from their surroundings, are dropped.
 _ISLAND_PX = 40
@@ -72,22 +73,24 @@ def sense_depth(
         The view whose pixels are wanted.
     rig : Rig
         A device of one unit with parallel axes, such as ``consumer``.
-    level : {"full", "model"}
-        Dot pictures and census matching, or ideal disparities with the noise model that was fitted
-        to them.
+    level : {"full", "half", "model"}
+        Dot pictures and census matching; with half the pixels along each edge; or ideal disparities
+        with the noise model that was fitted to full ones.
 
     Raises
     ------
     ConfigError
-        If the rig is no such device.
+        If the rig is no such device, or there is no such level.
     """
+    check_level(level)
     device = device_for(rig, camera)
+    device = scaled(device, 0.5) if level == "half" else device
     unit = device.units[0]
     T = unit.nominal.left.T @ invert(camera.T)
     stage = prepare(placed(scene, T), device, rng=rng, effects=_EFFECTS)
     pair = _pair(unit)
     problem = None
-    if level == "full":
+    if level != "model":
         shot = expose(stage, unit)
         scale = 255 / device.grey.full_scale
         problem = shot.problem

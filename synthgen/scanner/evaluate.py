@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.spatial import cKDTree
 
+from synthgen.errors import ScanError
 from synthgen.geometry.normals import face_cross, unit
 from synthgen.scanner.dic_reference import DicSettings
 from synthgen.scanner.glass import seen_position
@@ -34,7 +35,8 @@ class PairFigures:
     core_mm, all_mm : float
         RMS of errors below 1 mm, at least 9 pixels from edges and occlusions, and everywhere.
     outliers, complete : float
-        Share of matched samples with a larger error; matched share of what both cameras see.
+        Of the matched samples that both cameras see, the share with a larger error; matched share
+        of what both cameras see. What was matched where one camera is blind counts in neither.
     bias_mm : float
         Median.
     """
@@ -47,8 +49,18 @@ class PairFigures:
 
 
 def pair_figures(measured: UnitScan) -> PairFigures:
-    """Compare a unit's disparities with the ideal ones, which it must bring with it."""
-    assert measured.true_disparity is not None, "ask for true_disparity in the settings"
+    """Compare a unit's disparities with the ideal ones.
+
+    Raises
+    ------
+    ScanError
+        If the scan was made without ``settings.true_disparity``.
+    """
+    if measured.true_disparity is None:
+        raise ScanError(
+            f"unit {measured.ident} has no true disparities to compare with; scan with "
+            "settings.true_disparity = True"
+        )
     found, true = (
         measured.pair.depth(d.astype(np.float64))
         for d in (measured.disparity, measured.true_disparity)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from synthgen.models import ManoModel, load_hand, pose_surface
+from synthgen.render.sensor import LUMINANCE
 from synthgen.render.skin import material
 from synthgen.scanner.cap import cut_and_cap
 from synthgen.scanner.segment import CropPlane, wrist_plane
@@ -25,7 +26,6 @@ from synthgen.scene.surface import DrawnSurface
 
 Array = NDArray[np.float64]
 BEHIND_WRIST_M = 0.03
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def hand_solid(
     stacked = np.concatenate([whole, rgb], axis=1)
     cut = cut_and_cap(stacked, drawn.refined_faces, plane)
     place, colours = np.ascontiguousarray(cut.vertices[:, :3]), cut.vertices[:, 3:]
-    grey = float(np.median(colours @ _LUMINANCE))
+    grey = float(np.median(colours @ LUMINANCE))
     look = replace(surface, albedo=grey, roughness=subject.skin.roughness)
     normals = vertex_normals(place, cut.faces)
     solid = Solid(place, cut.faces, normals, look, "subject", None, colours)
@@ -122,7 +122,7 @@ def put_in_rig(subject: HandSubject, spin_rad: float = 0.0, lean_rad: float = 0.
     ----------
     subject : HandSubject
     spin_rad : float
-        About the upright, after the back of the hand faces +z.
+        About the upright, after the back of a right hand, or the palm of a left one, faces +z.
     lean_rad : float
         Of the fingers from the upright, towards +x, before the spin.
     """
@@ -136,7 +136,7 @@ def rig_from_world(
     """Return the rotation (3, 3) and shift (3,) of :func:`put_in_rig`, ``p -> R p + shift``."""
     hand = hand_solid(subject)
     joints = hand.joints
-    up = joints[[4, 7]].mean(axis=0) - joints[0]  # index and middle finger's knuckles
+    up = joints[[4, 7]].mean(axis=0) - joints[0]  # middle and little finger's knuckles
     across = np.cross(up, joints[1] - joints[7])
     frame = [_unit(v) for v in (up, across)]
     side = np.cross(frame[0], frame[1])

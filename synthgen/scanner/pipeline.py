@@ -13,6 +13,7 @@ from synthgen.errors import ScanError
 from synthgen.geometry.normals import vertex_normals
 from synthgen.sampling.streams import stream
 from synthgen.scanner.atlas import build_atlas
+from synthgen.scanner.calibration import in_frame, volume_points
 from synthgen.scanner.census import match_census
 from synthgen.scanner.colour import ColourView, colour_vertices
 from synthgen.scanner.exposure import Exposure, expose, unit_time, unlit
@@ -182,11 +183,15 @@ def measure(stage: Stage, unit: Unit, level: Level, settings: ScanSettings) -> M
 
 
 def depth_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
-    """Return the depths, metres, between which the working volume lies for a pair."""
+    """Return the depths, metres, between which the working volume lies for a pair.
+
+    What is nearer than two baselines is left out, as long as half of the depth remains.
+    """
     edges = np.array(rig.volume_m) / 2
     corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * edges - edges
     depth = (corners - pair.camera.position) @ pair.camera.T[:3, 2]
-    return max(float(depth.min()), 2 * pair.baseline_m), float(depth.max())
+    far = float(depth.max())
+    return max(float(depth.min()), min(2 * pair.baseline_m, far / 2)), far
 
 
 def disparity_bounds(rig: Rig, pair: Rectified) -> tuple[float, float]:
@@ -243,6 +248,12 @@ def _doubt(
     share = float((grid.matched & textured).sum() / max(textured.sum(), 1))
     if share >= LEAST_MATCHED:
         return None
+    points = volume_points(rig.volume_m, 9)
+    if not (in_frame(pair.left, points) & in_frame(pair.right, points)).any():
+        return (
+            "its two cameras see no part of the working volume together: aim them at it "
+            "(`pair.axes: toed_in` or `shifted`), or choose a smaller baseline or a wider field"
+        )
     near, far = depth_bounds(rig, pair)
     low, high = disparity_bounds(rig, pair)
     return (

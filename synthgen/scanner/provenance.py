@@ -28,9 +28,10 @@ class Measured:
         Index into the scan's units of the one that saw it most squarely; -1 where none did (a
         filled hole).
     confidence : (V,) float32
-        Correlation of that unit's window there, 0..1.
+        Correlation of that unit's window there, 0..1; 0 where none saw it, and where the sample was
+        bridged from its neighbours.
     sigma_m : (V,) float32
-        Standard error of that unit's depth there.
+        Standard error of that unit's depth there; NaN where none saw it.
     """
 
     unit: NDArray[np.int16]
@@ -64,7 +65,7 @@ def measured_by(vertices: Array, grids: Sequence[RangeGrid], reach_m: float) -> 
     n = len(vertices)
     best = np.zeros(n)
     owner = np.full(n, -1, np.int16)
-    confidence, sigma = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    confidence, sigma = np.zeros(n, np.float32), np.full(n, np.nan, np.float32)
     for k, grid in enumerate(grids):
         inside, row, column, depth = _sample_of(vertices, grid)
         near = grid.depth_z_m[row, column]

@@ -49,11 +49,6 @@ class GridSettings:
     facing: float = 0.25
 
 
-ROUGH = GridSettings(jump_px=2.0, bridge=0, soft=1, facing=0.1)
-"""Keeps ragged edges and some webbing between fingers, as raw scans have them; together with a
-smaller ``facing`` in the fusion's settings, which else cuts most of them off again."""
-
-
 @dataclass(frozen=True, eq=False)
 class RangeGrid:
     """Oriented points of one unit; rows and columns as the disparity grid's.

@@ -67,10 +67,11 @@ class Scan:
         Where ``texture`` has the vertex's own colour; origin bottom left.
     corner_uv : (F, 3, 2) float32
         Texture coordinates to draw faces with: all corners in the picture of one camera.
-    texture : (T, T, 3) uint8
+    texture : (H, W, 3) uint8
     provenance : dict of (V,) arrays
-        ``unit`` index into ``units``, ``confidence`` correlation 0..1, ``sigma_m`` standard error
-        of its depth, ``colour_unit``; and where truth was asked for: ``solid``, ``face``,
+        ``unit`` index into ``units`` (-1 in a hole that was filled), ``confidence`` correlation
+        0..1, ``sigma_m`` standard error of its depth (NaN in a filled hole), ``colour_unit`` index
+        into ``units`` (-1 unseen); and where truth was asked for: ``solid``, ``face``,
         ``barycentric`` (V, 3) on the true surface and ``error_m``, signed, positive outside.
     units : tuple of UnitScan
     level : {"full", "half", "model"}

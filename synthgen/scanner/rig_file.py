@@ -187,6 +187,8 @@ class ReconstructionSpec(Section):
 
     matcher: Literal["sgbm", "census"] = "sgbm"
     window_px: int = Field(default=13, ge=5, le=41)
+    """Edge of the windows that are compared; odd."""
+
     stride_px: int = Field(default=3, ge=1, le=8)
     voxel_m: float = Field(default=0.0008, gt=1e-5, le=0.1)
 
@@ -194,6 +196,12 @@ class ReconstructionSpec(Section):
     """Rows above and below that points are looked for in, with the matcher sgbm: for calibrations
     whose rows do not correspond. Draws up to half as many pixels of epipolar RMS are then taken.
     0 trusts the calibration."""
+
+    @model_validator(mode="after")
+    def _windows_have_a_middle(self) -> Self:
+        if self.window_px % 2 == 0:
+            raise ValueError(f"window_px {self.window_px} is even; a window needs a middle pixel")
+        return self
 
     @model_validator(mode="after")
     def _rows_are_searched_by_sgbm(self) -> Self:

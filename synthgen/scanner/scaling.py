@@ -12,9 +12,11 @@ from synthgen.scanner.rig import MIN_PIXELS, Calibration, Rig
 
 
 def scaled(rig: Rig, factor: float) -> Rig:
-    """Return the rig with every camera at ``factor`` times its pixels per edge (binned sensor).
+    """Return the rig with every camera at ``factor`` times its pixels per edge.
 
-    Slides stay as they are; the calibration draw stays the same scanner.
+    Slides stay as they are; the calibration draw stays the same scanner. What sensors have per
+    pixel and per row (full well, noise, blur, delay) stays: these are larger pixels, not fewer of
+    the same.
 
     Raises
     ------

@@ -50,6 +50,26 @@ class ScanSettings:
     truth: bool = True
     true_disparity: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse what no scan can be made with; raises ConfigError."""
+        match, dic, grid, fusion = self.match, self.match.dic, self.grid, self.fusion
+        odd = "an odd number from 3 on, pixels"
+        for fine, name, value, allowed in (
+            (match.step >= 1, "match.step", match.step, "1 pixel or more"),
+            (match.block >= 3 and match.block % 2, "match.block", match.block, odd),
+            (match.seed_scale in (1, 2), "match.seed_scale", match.seed_scale, "1 or 2"),
+            (dic.window >= 3 and dic.window % 2, "match.dic.window", dic.window, odd),
+            (dic.order in (1, 2), "match.dic.order", dic.order, "1 (affine) or 2 (quadratic)"),
+            (dic.iterations >= 1, "match.dic.iterations", dic.iterations, "1 or more"),
+            (dic.spread > 0, "match.dic.spread", dic.spread, "above 0"),
+            (grid.bridge >= 0, "grid.bridge", grid.bridge, "0 or more samples"),
+            (fusion.voxel_m > 0, "fusion.voxel_m", fusion.voxel_m, "above 0 metres"),
+            (fusion.truncation >= 1, "fusion.truncation", fusion.truncation, "1 voxel or more"),
+            (self.fill_voxels >= 0, "fill_voxels", self.fill_voxels, "0 (keeps holes) or more"),
+        ):
+            if not fine:
+                raise ConfigError(f"settings: {name} = {value}; allowed is {allowed}")
+
 
 def settings_for(rig: Rig, level: Level = "full", preset: Preset = "default") -> ScanSettings:
     """Return a rig's settings.

@@ -165,7 +165,9 @@ def _gathered(stage: Stage, points: Array, normals: Array, sources: list[Any]) -
 
     def shoot(i: Any, *sums: Any) -> tuple[Any, ...]:
         u, v = mi.sample_tea_32(index, i)
-        way = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(_unit(u), _unit(v))))
+        way = frame.to_world(
+            mi.warp.square_to_cosine_hemisphere(mi.Point2f(share_of(u), share_of(v)))
+        )
         ray = mi.Ray3f(p + normal * LIFT_M, way)
         hit = stage.scene.ray_intersect_preliminary(ray)
         there = hit.is_valid()
@@ -209,7 +211,7 @@ def _flat_normal(stage: Stage, prim: Any, active: Any) -> Any:
     return mi.Vector3f(quad.x, quad.y, quad.z)
 
 
-def _unit(word: Any) -> Any:
+def share_of(word: Any) -> Any:
     """Return a number in [0, 1) made of a word's upper 24 bits."""
     return backend.mitsuba().Float(word >> 8) * (2.0**-24)
 

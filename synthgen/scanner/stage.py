@@ -56,7 +56,7 @@ ALL = Effects()
 
 
 class Stage:
-    """The uploaded scene; changes only by what :meth:`pose` and :meth:`light` say.
+    """The uploaded scene; changes only by :meth:`pose`.
 
     Attributes
     ----------

@@ -84,7 +84,10 @@ class Field:
 
 
 def fuse(grids: Sequence[RangeGrid], settings: FusionSettings) -> Field:
-    """Average the units' signed distances, weighted by how squarely and closely each one looks.
+    """Average the units' signed distances, weighted by how squarely each one looks.
+
+    Within a unit's view nearer samples count more, by the square of the distance; units that stand
+    further away count no less than others.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.transforms import look_at
 from synthgen.render import backend
-from synthgen.render.sensor import encode_srgb
+from synthgen.render.sensor import LUMINANCE, encode_srgb
 from synthgen.scanner.camera import Look, Rays, meet, shutter_of
 from synthgen.scanner.exposure import SPP, digitised, integrated, unit_time
 from synthgen.scanner.light import F0, LIFT_M, number
@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 _PANEL_RAYS = 8
 # Even light that fills the room, against the panels' sum at the origin.
 _SURROUND = 0.1
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ def expose_colour(stage: Stage, unit: Unit, *, spp: int = SPP) -> NDArray[np.uin
 
 
 def _automatic(channels: list[NDArray[np.float32]], target: float) -> float:
-    luminance = sum(float(w) * c for w, c in zip(_LUMINANCE, channels, strict=True))
+    luminance = sum(float(w) * c for w, c in zip(LUMINANCE, channels, strict=True))
     bright = np.asarray(luminance)[np.asarray(luminance) > 1e-6]
     return target / float(np.quantile(bright, 0.99)) if len(bright) else 1.0
 

@@ -20,7 +20,7 @@ SMALL = ["samples=2", "render.width=96", "render.height=96", "render.spp=1",
          "background.plain=1", "background.procedural=0", "background.room=0"]  # fmt: skip
 
 
-@pytest.mark.parametrize("level", ["full", "model"])
+@pytest.mark.parametrize("level", ["full", "half", "model"])
 def test_smoke_corpus(level: str, tmp_path: Path) -> None:
     config = load_config("hand_rgbd", [*SMALL, f"render.sensor_depth={level}"])
     generate(config, tmp_path / "c", progress=False)

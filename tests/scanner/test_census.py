@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
+import pytest
 from speckle import Plane, Sphere
 
+from synthgen.sampling.streams import stream
 from synthgen.scanner.census import CensusSettings, census, match_census
+from synthgen.scanner.pattern import slide
+from synthgen.scanner.rig import Pattern
 
 BOUNDS = (-12.0, 12.0)
 
@@ -27,6 +32,24 @@ def test_properties_plane(seen: Any) -> None:
     assert grid.matched.mean() > 0.6
     assert 0.01 < np.std(error) < 0.25, "a consumer's matcher is coarser than correlation"
     assert abs(error.mean()) < 0.05
+
+
+@pytest.mark.parametrize("fraction", [0.2, 0.4, 0.7])
+def test_properties_fractions_are_found(fraction: float) -> None:
+    """Penalties stand against costs summed over the block; against their mean all snaps to pixels.
+
+    What is left is the parabola's own bias.
+    """
+    texture = 30 + 150 * slide(Pattern("speckle", 4.0, 0.5, 5), 160)
+    rng = stream(0, "sample", 0, 0, "noise")
+    y, x = np.indices((80, 120), dtype=np.float32) + np.float32(20)
+    left, right = (
+        cv2.remap(texture, x + np.float32(shift), y, cv2.INTER_LANCZOS4)
+        for shift in (0, 3 + fraction)
+    )
+    noisy = [picture + 2 * rng.standard_normal(picture.shape) for picture in (left, right)]
+    error = match_census(noisy[0], noisy[1], (-5.0, 12.0)).disparity - (3 + fraction)
+    assert abs(np.nanmedian(error[10:-10, 20:-10])) < 0.11
 
 
 def test_properties_strictness_removes(seen: Any) -> None:

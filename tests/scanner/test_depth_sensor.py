@@ -95,6 +95,18 @@ def test_properties_repeats_and_differs_by_seed(usual: SensorDepth) -> None:
     assert not np.array_equal(usual.depth_z_m, other)
 
 
+def test_properties_half_resolution_sees_the_same_more_coarsely(usual: SensorDepth) -> None:
+    half = measured(level="half").depth_z_m
+    assert half.shape == (H, W)
+    both = (half > 0) & (usual.depth_z_m > 0)
+    assert both.mean() > 0.6
+    assert np.median(np.abs(half - usual.depth_z_m)[both]) < 0.01
+    spread = [np.abs(d - 0.7)[5:25, 80:150][both[5:25, 80:150]] for d in (half, usual.depth_z_m)]
+    assert np.median(spread[0]) > 1.3 * np.median(spread[1]), "a pixel is twice the depth"
+    with pytest.raises(ConfigError, match="levels are full, half, model"):
+        measured(level="quarter")
+
+
 def test_properties_too_near_is_not_measured() -> None:
     """The device searches 126 disparities: nothing nearer than 431 * 50 mm / 126 = 0.17 m."""
     near = in_view(wall(0.3, 0.0), 0, 0, 0.12)

@@ -210,7 +210,7 @@ def test_edge_underexposed_and_empty_views_are_told() -> None:
     far = ball(0.004, (0, 0.025, 0))
     far.apply_translation((0.0, 0.0, 0.0))
     aside = mini()
-    turned = replace(aside.units[0].true.left, cx=4000.0)
+    turned = replace(aside.units[0].true.left, cx=4000.0, distortion=(0.0,) * 5)
     unit = replace(aside.units[0], true=replace(aside.units[0].true, left=turned))
     blind = replace(aside, units=(unit, aside.units[1]))
     shot = expose(staged(ScanScene((solid_from_mesh(far),)), blind), unit)

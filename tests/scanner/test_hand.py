@@ -72,6 +72,11 @@ def test_properties_put_in_rig_stands_upright() -> None:
         assert np.abs(box.min(axis=0) + box.max(axis=0)).max() < 1e-6
         along = hand.joints[7] - hand.joints[0]
         assert along[1] > 0.95 * np.linalg.norm(along)
+    for side in ("left", "right"):  # seen from the front the index finger is to the left of both
+        asked = [f"model.hands={side}"]
+        subject = draw_sample(load_config("hand_rgbd", asked), 0).scene.subjects[0]
+        joints = hand_solid(put_in_rig(subject)).joints
+        assert joints[1, 0] < joints[7, 0] - 0.02
 
 
 def test_properties_skin_scatters_as_the_sample_says() -> None:

@@ -122,6 +122,7 @@ FAULTS = {
     "no picture": (lambda t: t.replace("kind: speckle", "kind: image"), "`image` names a file"),
     "no draw": (lambda t: t + "error: {translation_m: 0.02}\n", "none of 200 calibration draws"),
     "empty": (lambda _: "", r"mine\.yaml: .* expected keys: summary"),
+    "even window": (lambda t: t.replace("window_px: 11", "window_px: 12"), "a middle pixel"),
     "not YAML": (lambda _: "a: [", "unreadable YAML"),
 }  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from synthgen.scanner import (
     Scan,
     ScanScene,
     Surface,
+    list_rigs,
     load_rig,
     scaled,
     scan,
@@ -31,7 +33,7 @@ from synthgen.scanner.evaluate import (
     surface_samples,
 )
 from synthgen.scanner.match import FAST
-from synthgen.scanner.pipeline import disparity_bounds
+from synthgen.scanner.pipeline import depth_bounds, disparity_bounds
 from synthgen.scanner.rectify import rectify
 from synthgen.scanner.rig import Rig
 from synthgen.scanner.stage import prepare
@@ -84,6 +86,8 @@ def test_properties_pairs_are_measured_well(full: Scan) -> None:
         assert figures.complete > 0.7
         assert figures.core_mm < 0.5
         assert abs(figures.bias_mm) < 0.2
+    with pytest.raises(ScanError, match="unit front has no true disparities"):
+        pair_figures(replace(full.units[0], true_disparity=None))
 
 
 def test_properties_same_seed_same_bytes(full: Scan) -> None:
@@ -231,6 +235,30 @@ def test_edge_too_small_a_disparity_range_is_told() -> None:
     assert any("disparity range is too small" in text for text in told)
 
 
+def test_edge_cameras_that_look_past_each_other_are_told(tmp_path: Path) -> None:
+    text = list_rigs()["mini"].read_text()
+    path = tmp_path / "parallel.yaml"
+    path.write_text(text.replace("baseline_m: 0.12", "baseline_m: 0.12\n  axes: parallel"))
+    found = scanned(load_rig(path), colour=False)
+    assert "unit right: its two cameras see no part of the working volume together" in str(
+        found.problem
+    )
+
+
+@pytest.mark.parametrize("matcher", ["sgbm", "census"])
+def test_edge_units_nearer_than_two_baselines(matcher: str, tmp_path: Path) -> None:
+    near = list_rigs()["mini"].read_text().replace("distance_m: 0.6", "distance_m: 0.2")
+    path = tmp_path / "near.yaml"
+    path.write_text(near.replace("matcher: sgbm", f"matcher: {matcher}"))
+    rig = load_rig(path)
+    for unit in rig.units:
+        pair = rectify(unit.nominal.left, unit.nominal.right)
+        low, high = disparity_bounds(rig, pair)
+        assert low < float(pair.disparity(depth_bounds(rig, pair)[1] - 0.05)) < high
+    found = scanned(rig, colour=False)
+    assert all(u["matched"] > 500 for u in found.report["units"].values())
+
+
 def test_edge_outside_the_volume() -> None:
     away = BALL.copy().apply_translation((1.0, 0, 0))
     with pytest.raises(ScanError):
@@ -240,3 +268,29 @@ def test_edge_outside_the_volume() -> None:
 def test_edge_unknown_level() -> None:
     with pytest.raises(ConfigError, match="levels are full, half, model"):
         settings_for(load_rig("mini"), "quarter")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value", "words"),
+    [
+        ("fusion", "voxel_m", 0.0, "above 0 metres"),
+        ("fusion", "truncation", 0.5, "1 voxel"),
+        ("match", "step", 0, "1 pixel"),
+        ("match", "block", 8, "an odd number"),
+        ("match", "seed_scale", 4, "1 or 2"),
+        ("match.dic", "window", 12, "an odd number"),
+        ("match.dic", "order", 3, "affine"),
+        ("match.dic", "iterations", 0, "1 or more"),
+        ("grid", "bridge", -1, "0 or more"),
+    ],
+)
+def test_edge_settings_that_give_no_scan(part: str, name: str, value: Any, words: str) -> None:
+    settings = settings_for(load_rig("mini"))
+    changed: Any = {name: value}
+    if part == "match.dic":
+        changed = {"dic": replace(settings.match.dic, **changed)}
+    section = part.partition(".")[0]
+    with pytest.raises(ConfigError, match=rf"{part}\.{name} = {value}; allowed is.*{words}"):
+        replace(settings, **{section: replace(getattr(settings, section), **changed)})
+    with pytest.raises(ConfigError, match="keeps holes"):
+        replace(settings, fill_voxels=-1.0)

@@ -118,6 +118,11 @@ def test_properties_every_vertex_knows_its_unit_and_its_error(front: list[Any]) 
     assert (measured.unit >= 0).mean() > 0.95
     left = vertices[:, 0] < -0.01
     assert (measured.unit[left] == 0).all()
+    filled = measured_by(extract(fuse(front, SETTINGS), 200, fill=4.0)[0], front, 0.003)
+    unseen = filled.unit < 0
+    assert unseen.sum() > 100
+    assert np.array_equal(np.isnan(filled.sigma_m), unseen), "an error of 0 would be a promise"
+    assert not filled.confidence[unseen].any()
     ball = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
     truth = truth_of(vertices, scene_of(ball))
     foot = np.einsum("vk,vkj->vj", truth.barycentric, ball.vertices[ball.faces[truth.face]])
