@@ -109,6 +109,12 @@ def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
 def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     """Render a sample again from its spec; tell which stored members differ.
 
+    Returns
+    -------
+    dict
+        ``same``, and the names of the members ``differing``; where the sample is rejected this
+        time, the ``reason``.
+
     Raises
     ------
     CorpusError
@@ -121,7 +127,9 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
     rendered = renderer.render(sample.spec)
-    _, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
+    reason, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
+    if reason is not None:
+        return {"same": False, "differing": [], "reason": reason}
     for number, view in enumerate(views):
         encoded = encode_view(
             sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality

@@ -92,6 +92,17 @@ def test_smoke_show_and_remake(corpus: Path) -> None:
     assert payload["remake"] == {"same": True, "differing": []}
 
 
+def test_edge_a_sample_that_is_rejected_now_is_not_the_same(
+    corpus: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from synthgen.corpus import show
+
+    rejected = ("scan: the scan is empty", [])
+    monkeypatch.setattr(show, "with_sensors", lambda *_: lambda spec: rejected)
+    again = show.describe(corpus, 0, remake=True)["remake"]
+    assert again == {"same": False, "differing": [], "reason": rejected[0]}
+
+
 def test_edge_show_out_of_range(corpus: Path) -> None:
     code, payload = synthgen_command("show", str(corpus), "--sample", "4")
     assert code == 2
@@ -103,6 +114,11 @@ def test_smoke_preview(corpus: Path, tmp_path: Path) -> None:
     code, payload = synthgen_command("preview", str(corpus), "--out", str(page))
     assert (code, payload) == (0, {"gallery": str(page)})
     assert "<img" in page.read_text()
+    sheet = tmp_path / "sheet.jpg"
+    words = ("preview", str(corpus), "--out", str(page), "--sheet", str(sheet))
+    assert synthgen_command(*words) == (0, {"gallery": str(page), "sheet": str(sheet)})
+    assert synthgen_command(*words[:2], *words[4:]) == (0, {"sheet": str(sheet)})
+    assert not (corpus / "gallery.html").exists()
 
 
 @pytest.mark.parametrize("verb", ["verify", "preview"])
