@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 from rich.progress import Progress
 from threadpoolctl import threadpool_limits
 
@@ -84,7 +85,9 @@ def _extend(config: Config, out: Path, workers: int, progress: bool) -> None:
     part = out / PART
     first = _begin_part(out)
     rows = _drawn_rows(config, first, workers)
-    with Progress(transient=True, disable=not progress) as bar:
+    console = Console(stderr=True)  # stdout belongs to the verb's own words
+    shown = progress and console.is_terminal
+    with Progress(console=console, transient=True, disable=not shown) as bar:
         task = bar.add_task("planning", total=config.samples, completed=first)
         with atomic.explained(part), open(part, "ab") as file:
             for row in rows:

@@ -49,7 +49,8 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         "factors": spec.factors,
         "subjects": [
             {"hand": s.hand, "model": s.model, "shape": s.shape.round(4).tolist(),
-             "joints_m": s.joints.round(5).tolist()} for s in sample.subjects
+             "pose": s.pose.round(5).tolist(), "translation_m": s.translation.round(5).tolist(),
+             "joints_m": s.joints.astype(np.float64).round(5).tolist()} for s in sample.subjects
         ],
         "views": [
             {"key": v.key, "K": v.camera.K.tolist(),

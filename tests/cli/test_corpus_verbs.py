@@ -50,6 +50,9 @@ def test_smoke_plan(tmp_path: Path) -> None:
     assert code == 0
     assert payload["samples"] == 2
     assert len((out / "plan.jsonl").read_text().splitlines()) == 2
+    command = [sys.executable, "-m", "synthgen", "plan", "fixtures", "--out", str(out)]
+    said = subprocess.run([*command, "--samples", "3"], capture_output=True, text=True).stdout
+    assert said == f"3 samples planned in {out / 'plan.jsonl'}\n"  # no bar where nobody looks
 
 
 def test_reference_same_command_finds_nothing_to_do(corpus: Path) -> None:
@@ -90,6 +93,10 @@ def test_smoke_show_and_remake(corpus: Path) -> None:
     code, payload = synthgen_command("show", str(corpus), "--sample", "3", "--remake")
     assert code == 0
     assert payload["remake"] == {"same": True, "differing": []}
+    (subject,) = payload["subjects"]
+    truth = synthgen.open_corpus(corpus)[3].truth
+    for key, values in (("pose", truth.pose), ("joints_m", truth.joints)):
+        assert subject[key] == values.astype(float).round(5).tolist()
 
 
 def test_edge_a_sample_that_is_rejected_now_is_not_the_same(
