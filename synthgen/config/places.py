@@ -47,19 +47,19 @@ class BackgroundSettings(Weighted):
     """Weights of the kinds of background."""
 
     plain: Weight = 0.3
-    """A wall of one colour. In full 0.05."""
+    """A wall of one colour. In full 0.03."""
 
     procedural: Weight = 0.5
-    """A wall with a procedural texture. In full 0.12."""
+    """A wall with a procedural texture. In full 0.06."""
 
     room: Weight = 0.2
-    """A room around hand and cameras; `things.furniture` fills it. In full 0.55."""
+    """A room around hand and cameras; `things.furniture` fills it. In full 0.62."""
 
     empty: Weight = 0.0
     """Nothing: depth 0, `valid` false; the surround's light shows. For compositing; cheapest."""
 
     outdoor: Weight = 0.0
-    """Open ground with things on it, under a sky. In full 0.28."""
+    """Open ground with things on it, under a sky. In full 0.29."""
 
     photo: Weight = 0.0
     """A picture of yours on the wall behind the hand: `files.images`."""

@@ -53,9 +53,17 @@ def write_gallery(path: str | Path, out: str | Path | None = None) -> Path:
 
 
 def contact_sheet(path: str | Path, out: str | Path, columns: int = 6) -> Path:
-    """Write the pictures of a corpus (of its first 200 samples) as one JPEG sheet."""
+    """Write the pictures of a corpus (of its first 200 samples) as one JPEG sheet.
+
+    Raises
+    ------
+    CorpusError
+        If the corpus is empty.
+    """
     corpus = open_corpus(path)
     pictures = [view.image for k in range(min(len(corpus), MOST)) for view in corpus[k].views]
+    if not pictures:
+        raise CorpusError(f"{path} holds no sample; `synthgen generate` makes some")
     columns = min(columns, len(pictures))
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
     blank = np.full_like(pictures[0], 255)

@@ -17,6 +17,8 @@ from synthgen.corpus import atomic, shards
 from synthgen.corpus.shards import Entry
 from synthgen.errors import IntegrityError
 from synthgen.models import load_hand
+from synthgen.models.cache import sha256_of
+from synthgen.models.finding import find
 
 MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
@@ -24,7 +26,9 @@ MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 def engine(config: Config) -> dict[str, Any]:
     """Return what decides the bytes besides the config: model, rig, back end, library versions.
 
-    The rig's digest is there where a scanner or a depth camera is.
+    The model's digest is of what places its vertices, the SHA-256 of its whole file: fingertips,
+    pose table and texture coordinates decide bytes, too. The rig's digest is there where a scanner
+    or a depth camera is.
 
     The denoiser counts where one is asked for: ``oidn``, or ``auto``, which may find it missing.
     """
@@ -34,6 +38,7 @@ def engine(config: Config) -> dict[str, Any]:
     library = backend.find_llvm() if chosen.startswith("llvm") else None
     return {
         "model_digest": load_hand(config.model.name, hand="right").digest,
+        "model_sha256": sha256_of(find(config.model.name)),
         "variant": chosen,
         "llvm": backend.llvm_version(str(library)) if library else None,
         "versions": {

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 from rich.progress import Progress
 from threadpoolctl import threadpool_limits
 
@@ -65,10 +66,11 @@ def write_plan(config: Config, out: Path, *, workers: int = 1, progress: bool = 
     """
     mine = {"config_hash": config_hash(config), **engine(config)}
     atomic.make_folder(out)
-    _claim(config, mine, out)
+    _refuse_strangers(out)
     atomic.make_folder(out / CLAIMS)
     with open(out / CLAIMS / "plan", "w") as claim:
         fcntl.flock(claim, fcntl.LOCK_EX)  # another machine may be planning the same folder
+        _claim(config, mine, out)
         if count_rows(out) < config.samples:
             _extend(config, out, workers, progress)
     return out / PLAN
@@ -83,7 +85,9 @@ def _extend(config: Config, out: Path, workers: int, progress: bool) -> None:
     part = out / PART
     first = _begin_part(out)
     rows = _drawn_rows(config, first, workers)
-    with Progress(transient=True, disable=not progress) as bar:
+    console = Console(stderr=True)  # stdout belongs to the verb's own words
+    shown = progress and console.is_terminal
+    with Progress(console=console, transient=True, disable=not shown) as bar:
         task = bar.add_task("planning", total=config.samples, completed=first)
         with atomic.explained(part), open(part, "ab") as file:
             for row in rows:
@@ -130,6 +134,13 @@ def _row(config: Config, index: int) -> bytes:
     return json.dumps(row, sort_keys=True, separators=(",", ":")).encode() + b"\n"
 
 
+def _refuse_strangers(out: Path) -> None:
+    """Refuse a folder that holds something else, before anything is written into it."""
+    there = {found.name for found in out.iterdir() if not found.name.startswith(".")}
+    if there - {CLAIMS} and ENGINE not in there:
+        raise CorpusError(f"{out} is not empty and holds no corpus; choose another --out")
+
+
 def _claim(config: Config, mine: dict[str, Any], out: Path) -> None:
     """Refuse a folder that belongs to another config or was made by another engine."""
     path = out / ENGINE
@@ -143,8 +154,8 @@ def _claim(config: Config, mine: dict[str, Any], out: Path) -> None:
                 "restore what it was made with"
             )
     else:
-        if any(found for found in out.iterdir() if not found.name.startswith(".")):
-            raise CorpusError(f"{out} is not empty and holds no corpus; choose another --out")
+        # rows of another config: who empties a folder by its visible files leaves them behind
+        (out / PART).unlink(missing_ok=True)
         atomic.replace(path, json.dumps(mine, sort_keys=True, indent=1).encode())
     atomic.replace(out / CONFIG, resolved_yaml(config).encode())
 

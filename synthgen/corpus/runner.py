@@ -92,7 +92,8 @@ def generate(
     workers : int
         Processes, each on one thread.
     shards_range : (first, stop) or None
-        Make only these shards (for clusters); the manifest covers what is there.
+        Make only these shards (for clusters), and leave all others as they are; the manifest
+        covers what is there.
     progress : bool
         Show a progress bar on a terminal.
     maker : callable
@@ -101,7 +102,8 @@ def generate(
     Raises
     ------
     CorpusError
-        If the folder is of another making, cannot be written, or a shard keeps killing workers.
+        If the folder is of another making, cannot be written, holds none of the shards that are
+        asked for, or a shard keeps killing workers.
     WorkLeft
         If the run was interrupted; the same command resumes.
     """
@@ -142,18 +144,23 @@ def _summary(config: Config, out: Path, present: int, seconds: float) -> Summary
 
 
 def _todo(config: Config, out: Path, wanted: tuple[int, int] | None) -> list[int]:
-    """Shards to make; a last one that was cut short by fewer samples is made again."""
+    """Shards to make; of those asked for, one that fewer samples cut short is made again."""
     for folder in (shards.SIDECARS, CLAIMS, *config.corpus.columns):
         atomic.make_folder(out / folder)
     size, total = config.corpus.shard_size, -(-config.samples // config.corpus.shard_size)
-    for k in shards.done_shards(out):
-        if len(shards.read_sidecar(out, k)["samples"]) < min(size, config.samples - k * size):
-            shards.drop_shard(out, k)
     first, stop = wanted or (0, total)
-    if not 0 <= first < stop:
-        raise CorpusError(f"shards {first}:{stop}; allowed are ranges within 0:{total}")
+    if not 0 <= first < min(stop, total):
+        raise CorpusError(
+            f"shards {first}:{stop} holds none of the {total} shards 0:{total} of {config.samples} "
+            f"samples (corpus.shard_size={size})"
+        )
+    asked = range(first, min(stop, total))
+    for k in shards.done_shards(out):
+        whole = min(size, config.samples - k * size)
+        if k in asked and len(shards.read_sidecar(out, k)["samples"]) < whole:
+            shards.drop_shard(out, k)
     done = set(shards.done_shards(out))
-    return [k for k in range(first, min(stop, total)) if k not in done]
+    return [k for k in asked if k not in done]
 
 
 @contextmanager
@@ -243,10 +250,10 @@ def _supervise(
     with single_threaded_children():
         running = [_start(context, config, out, todo, w, workers, maker, results)
                    for w in range(min(workers, max(len(todo), 1)))]  # fmt: skip
-        deaths = 0
+        deaths, message = 0, ""
         try:
             while any(p.exitcode not in (0, 2) for p in running):
-                _drain(results, advance)
+                message = _drain(results, advance) or message
                 for number, process in enumerate(running):
                     if process.exitcode not in (None, 0, 2):
                         deaths += 1
@@ -259,7 +266,7 @@ def _supervise(
             for process in running:
                 process.terminate() if process.is_alive() else None
                 process.join()
-    message = _drain(results, advance)
+    message = _drain(results, advance) or message
     if message:
         raise CorpusError(message)
 
@@ -293,15 +300,13 @@ def _worker(config: Config, out: Path, todo: list[int], maker: Maker, results: A
         raise SystemExit(2) from None
 
 
-def _drain(results: Any, advance: Callable[[int], None]) -> str | None:
-    """Advance the bar by what workers report; return a worker's error message, if any."""
-    message = None
+def _drain(results: Any, advance: Callable[[int], None]) -> str:
+    """Advance the bar by what workers report; return a worker's error message, or nothing."""
+    message = ""
     while not results.empty():
         said = results.get()
         if isinstance(said, str):
             message = said
         else:
             advance(said)
-    if message:
-        results.put(message)
     return message

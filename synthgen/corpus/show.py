@@ -50,7 +50,8 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         "factors": spec.factors,
         "subjects": [
             {"hand": s.hand, "model": s.model, "shape": s.shape.round(4).tolist(),
-             "joints_m": s.joints.round(5).tolist()} for s in sample.subjects
+             "pose": s.pose.round(5).tolist(), "translation_m": s.translation.round(5).tolist(),
+             "joints_m": s.joints.astype(np.float64).round(5).tolist()} for s in sample.subjects
         ],
         "views": [
             {"key": v.key, "K": v.camera.K.tolist(),
@@ -112,6 +113,12 @@ def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
 def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     """Render a sample again from its spec; tell which stored members differ.
 
+    Returns
+    -------
+    dict
+        ``same``, and the names of the members ``differing``; where the sample is rejected this
+        time, the ``reason``.
+
     Raises
     ------
     CorpusError
@@ -124,7 +131,9 @@ def compare(corpus: Corpus, sample: Sample) -> dict[str, Any]:
     renderer = Renderer(corpus.manifest["variant"])
     differing = []
     rendered = renderer.render(sample.spec)
-    _, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
+    reason, views = with_sensors(config, lambda _: (None, rendered))(sample.spec)
+    if reason is not None:
+        return {"same": False, "differing": [], "reason": reason}
     for number, view in enumerate(views):
         encoded = encode_view(
             sample.spec, number, view, config.corpus.columns, config.corpus.jpeg_quality

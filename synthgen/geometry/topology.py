@@ -28,7 +28,8 @@ def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
     Raises
     ------
     ShapeError
-        If a boundary vertex belongs to several loops (the surface touches itself in a point).
+        If a boundary vertex belongs to several loops (the surface touches itself in a point), or
+        the boundary does not close (an edge has three faces, or faces turned against each other).
     """
     following: dict[int, int] = {}
     for a, b in boundary_edges(faces).tolist():
@@ -38,7 +39,12 @@ def boundary_loops(faces: NDArray[Any]) -> list[NDArray[np.int64]]:
     loops = []
     while following:
         loop = [min(following)]
-        while (step := following.pop(loop[-1])) != loop[0]:
+        while (step := following.pop(loop[-1], None)) != loop[0]:
+            if step is None:
+                raise ShapeError(
+                    f"the boundary ends at vertex {loop[-1]}; the mesh must be edge-manifold, its "
+                    "faces turned the same way"
+                )
             loop.append(step)
         loops.append(np.array(loop, dtype=np.int64))
     return sorted(loops, key=len, reverse=True)

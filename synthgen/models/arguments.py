@@ -122,17 +122,38 @@ def _coefficients(value: Any, n: int, most: int, what: str, count: str, name: st
     return values
 
 
+def checked_row(value: Any, most: int, what: str, name: str) -> Array:
+    """Check the coefficients (n,) of one sample, n <= ``most``.
+
+    Raises
+    ------
+    ShapeError
+        If there are more, or a number is not finite.
+    """
+    values = _numbers(value, what)
+    if values.ndim != 1 or len(values) > most:
+        raise ShapeError(
+            f"{what} is {values.shape}; one sample of model {name!r} expects (n,) with n <= {most}"
+        )
+    _check_finite(what, values)
+    return values
+
+
 def _check_sizes(*named: tuple[str, Array]) -> None:
     from synthgen.models.kernels import within
 
     if within(_LARGEST, *(values.reshape(-1) for _, values in named)):
         return
     for what, values in named:
-        finite = np.isfinite(values)
-        if not finite.all():
-            raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")
+        _check_finite(what, values)
         largest = np.abs(values).max(initial=0.0)
         if largest > _LARGEST:
             raise ShapeError(
                 f"{what} holds {largest:.3g}, which would overflow; expected radians or metres"
             )
+
+
+def _check_finite(what: str, values: Array) -> None:
+    finite = np.isfinite(values)
+    if not finite.all():
+        raise ShapeError(f"{what} holds {values[~finite][0]}; must be finite")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.errors import ModelError, ShapeError
 from synthgen.models import joints as tables
 from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.content import Array, Content, digest_of
@@ -36,6 +37,11 @@ def build_hand(content: Content, *, official_left_shape: bool) -> ManoModel:
         Of family "mano".
     official_left_shape : bool
         Keep a published left hand's shape bases as they are.
+
+    Raises
+    ------
+    ModelError
+        If its mesh has no single open wrist, or fingertips are no vertices of it.
     """
     side = side_of(content)
     shapes, done = content.owned("shapedirs"), "right hand"
@@ -49,11 +55,14 @@ def build_hand(content: Content, *, official_left_shape: bool) -> ManoModel:
     v, faces, weights = arrays["v_template"], arrays["faces"], arrays["weights"]
     rest = arrays["J_regressor"] @ v
     tips, tip_set = _hand_tips(content, v, weights, rest)
-    surface = (
-        hand_surface(content, weights, faces)
-        if "arm_template" in content.arrays
-        else loft_surface(v, shapes, faces, weights, rest, tips)
-    )
+    try:
+        surface = (
+            hand_surface(content, weights, faces)
+            if "arm_template" in content.arrays
+            else loft_surface(v, shapes, faces, weights, rest, tips)
+        )
+    except (ShapeError, ModelError) as error:
+        raise content.fail(f"f: {error}") from None
     return ManoModel(
         **{**arrays, "shapedirs": shapes},
         hand=side,
@@ -154,8 +163,11 @@ def _space(content: Content, side: str) -> HandSpace | None:
 
 
 def _vertex_ids(content: Content, key: str, count: int) -> Ids:
-    ids, v = content.ids(key), len(content.arrays["v_template"])
-    if ids.shape != (count,) or ids.min() < 0 or ids.max() >= v:
+    shape, v = content.arrays[key].shape, len(content.arrays["v_template"])
+    if shape != (count,):
+        raise content.fail(f"{key} is {shape}; expected ({count},), that many of {v} vertices")
+    ids = content.ids(key)
+    if ids.min() < 0 or ids.max() >= v:
         raise content.fail(f"{key} {ids.tolist()} are not {count} of {v} vertices")
     return ids
 

@@ -122,7 +122,8 @@ class ConstrainedTree:
             )
         groups = (self.spherical, self.hinge, self.double_first, self.double_second)
         used = np.concatenate([g.ravel() for g in groups])
-        if sorted(used.tolist()) != list(range(self.n_pose)):
+        # lengths first: a file may claim more numbers than fit into memory
+        if len(used) != self.n_pose or sorted(used.tolist()) != list(range(self.n_pose)):
             raise ModelError(
                 f"axis_meta: num_pose is {self.n_pose}, but the index lists name {len(used)} "
                 f"columns, {len(np.unique(used))} of them different"

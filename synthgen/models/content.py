@@ -71,6 +71,22 @@ class Content:
         more = f" and {len(keys) - 20} more" if len(keys) > 20 else ""
         return ", ".join(map(printable, keys[:20])) + more if keys else "none"
 
+    def check_size(self) -> None:
+        """Refuse what would fill memory once it is read as float64.
+
+        Raises
+        ------
+        ModelError
+            Naming the largest array.
+        """
+        total = 8 * sum(array.size for array in self.arrays.values())
+        if total > MAX_BYTES:
+            key = max(self.arrays, key=lambda k: self.arrays[k].size)
+            raise self.fail(
+                f"its arrays take {total} bytes as float64 (the largest, {printable(key)}, is "
+                f"{self.arrays[key].shape}); a model has at most {MAX_BYTES}"
+            )
+
     def numbers(self, key: str) -> Array:
         """Return an array as float64.
 

@@ -18,7 +18,6 @@ from synthgen.models.content import Array, Content, digest_of
 from synthgen.models.drawn_keys import check_drawn_keys
 from synthgen.models.joints import MANO16_NAMES
 from synthgen.models.model import Family
-from synthgen.models.pickles import MAX_BYTES
 
 NEEDED: Final = (
     "v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f",
@@ -62,7 +61,7 @@ def checked(content: Content) -> Content:
     _check_ranks(content)
     family = family_of(content)
     _check_shapes(content, family)
-    _check_size(content)
+    content.check_size()
     for key in _number_keys(content):
         _check_finite(content, key)
     _check_faces(content)
@@ -106,8 +105,10 @@ def family_of(content: Content) -> Family:
             return "mano"
         if k not in _KNOWN_OTHERS:
             return "smplh"
-        known = f", which looks like {_KNOWN_OTHERS[k]}" if k in _KNOWN_OTHERS else ""
-        raise content.fail(f"weights name {k} joints{known}: another family; {_HAVE}")
+        known = _KNOWN_OTHERS[k]
+        raise content.fail(
+            f"weights name {k} joints, which looks like {known}: another family; {_HAVE}"
+        )
     raise content.fail(
         f"posedirs is {content.arrays['posedirs'].shape} and J_regressor {rows} for {v} vertices "
         f"and {k} joints: another family, or arrays of different files. Expected {9 * (k - 1)} "
@@ -161,17 +162,6 @@ def _check_shapes(content: Content, family: Family) -> None:
             raise content.fail(
                 f"{key} is {found}; expected {words} (weights are {v} vertices x {k} joints)"
             )
-
-
-def _check_size(content: Content) -> None:
-    """Refuse what would fill memory once it is read as float64."""
-    total = 8 * sum(content.arrays[key].size for key in _number_keys(content))
-    if total > MAX_BYTES:
-        key = max(_number_keys(content), key=lambda k: content.arrays[k].size)
-        raise content.fail(
-            f"its arrays take {total} bytes as float64 (the largest, {key}, is "
-            f"{content.arrays[key].shape}); a model has at most {MAX_BYTES}"
-        )
 
 
 def _number_keys(content: Content) -> list[str]:

@@ -55,6 +55,8 @@ def mirror_pose(pose: NDArray[np.floating], model: BodyModel | None = None) -> A
         If the model's joints have no counterparts.
     """
     values = np.asarray(pose, dtype=np.float64)
+    if model is None and values.shape[-1:] != (3,):
+        raise ShapeError(f"pose has shape {values.shape}; expected (..., 3) axis-angle vectors")
     if model is None:
         result: Array = values * _TURN
         return result

@@ -274,10 +274,30 @@ class BodyModel:
     def shaped(
         self, shape: NDArray[Any], expression: NDArray[Any] | None = None
     ) -> tuple[Array, Array]:
-        """Return rest-pose vertices (V, 3) and joints (K, 3) of betas (nb,), float64."""
+        """Return rest-pose vertices and joints, float64, metres.
+
+        Parameters
+        ----------
+        shape : (n,) float
+            Betas; fewer than the model's nb are filled with zeros.
+        expression : (m,) float or None
+            As ``shape``, of models that have any.
+
+        Returns
+        -------
+        vertices : (V, 3), joints : (K, 3)
+
+        Raises
+        ------
+        ShapeError
+            If there are more numbers than components, or one is not finite.
+        """
+        from synthgen.models.arguments import checked_row
         from synthgen.models.reference import rest
 
-        return rest(self, shape, expression)
+        betas = checked_row(shape, self.n_shape, "shape", self.name)
+        psi: Any = [] if expression is None else expression
+        return rest(self, betas, checked_row(psi, self.n_expression, "expression", self.name))
 
     @cached_property
     def packed(self) -> Packed:

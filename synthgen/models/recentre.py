@@ -58,9 +58,8 @@ def recentre(
     """
     given = checked(model, shape, pose, translation, expression)
     n = len(given.pose)
-    motion = np.broadcast_to(np.asarray(T_dst_from_src, dtype=np.float64), (n, 4, 4))
+    motion = _rigid(np.asarray(T_dst_from_src, dtype=np.float64), n)
     turn, shift = motion[:, :3, :3], motion[:, :3, 3]
-    _check_rigid(motion)
     root = np.array(
         [rest(model, b, e)[1][0] for b, e in zip(given.shape, given.expression, strict=True)]
     ).reshape(n, 3)
@@ -85,11 +84,17 @@ def _root_columns(model: BodyModel, pose: Array) -> NDArray[np.int64]:
     return np.asarray(tree.spherical[row])
 
 
-def _check_rigid(motion: Array) -> None:
+def _rigid(given: Array, n: int) -> Array:
+    """Return one motion (n, 4, 4) per sample, all of them rigid."""
+    if given.shape not in ((4, 4), (n, 4, 4)):
+        raise ShapeError(f"T_dst_from_src is {given.shape}; expected (4, 4) or ({n}, 4, 4)")
+    motion = np.broadcast_to(given, (n, 4, 4))
     turn = motion[:, :3, :3]
     error = np.abs(turn @ np.swapaxes(turn, -1, -2) - np.eye(3)).max() if len(motion) else 0.0
-    if not error < 1e-6 or np.any(np.linalg.det(turn) < 0):
+    finite = np.isfinite(given).all()
+    if not finite or not error < 1e-6 or np.any(np.linalg.det(turn) < 0):
         raise ShapeError(
             f"T_dst_from_src is not rigid (R R' is {error:.2g} off the identity); a scale or "
             "mirroring cannot be put into a pose"
         )
+    return motion

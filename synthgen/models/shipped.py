@@ -41,8 +41,10 @@ def decoded(content: Content) -> Content:
     Raises
     ------
     ModelError
-        If a scale or another part of the compact form is missing or does not fit.
+        If a scale or another part of the compact form is missing or does not fit, or the numbers
+        would fill memory.
     """
+    content.check_size()
     arrays = content.arrays
     if compact.is_shipped(arrays):
         try:

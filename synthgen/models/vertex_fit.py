@@ -91,9 +91,13 @@ def fit_vertices(
     Raises
     ------
     ShapeError
-        If points, vertices or weights do not fit together.
+        If points, vertices or weights do not fit together, or a number is negative.
     """
     rows, target, factor = _correspondences(model, points, vertex_ids, weights)
+    if min(0 if n_shape is None else n_shape, n_expression, steps) < 0:
+        raise ShapeError(
+            f"n_shape={n_shape}, n_expression={n_expression}, steps={steps}: none may be negative"
+        )
     counts = (
         model.n_shape if n_shape is None else min(n_shape, model.n_shape),
         model.n_pose,

@@ -2,7 +2,8 @@
 
 What is written is what was read: the file's arrays in their own precision, nothing mended and
 nothing rounded, so that reading it back gives the same model (unless another hand or a part of a
-body is asked for).
+body is asked for). A hand whose side only its file's name told gets the key ``hand`` where the new
+name tells another.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import io
 import os
 import struct
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.errors import ModelError
+from synthgen.models.build import side_of
 from synthgen.models.content import META, META_PREFIX, SUFFIXES, Content
 from synthgen.models.derived import hand_content, part_content
 from synthgen.models.files import Pair, load_content
@@ -73,7 +76,14 @@ def convert(
             f"{path}: {path.suffix or 'no suffix'} is not how {content.family} models are written; "
             f"allowed are {' and '.join(allowed)}"
         )
-    return write(content, path)
+    return write(_sided(content, path), path)
+
+
+def _sided(content: Content, path: Path) -> Content:
+    """Write the side into a hand's file whose new name would tell another one."""
+    if content.family != "mano" or side_of(replace(content, path=path)) == side_of(content):
+        return content
+    return content.having(hand=np.array(side_of(content)))
 
 
 def write(content: Content, path: Path) -> Path:

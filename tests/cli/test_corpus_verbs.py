@@ -50,6 +50,9 @@ def test_smoke_plan(tmp_path: Path) -> None:
     assert code == 0
     assert payload["samples"] == 2
     assert len((out / "plan.jsonl").read_text().splitlines()) == 2
+    command = [sys.executable, "-m", "synthgen", "plan", "fixtures", "--out", str(out)]
+    said = subprocess.run([*command, "--samples", "3"], capture_output=True, text=True).stdout
+    assert said == f"3 samples planned in {out / 'plan.jsonl'}\n"  # no bar where nobody looks
 
 
 def test_reference_same_command_finds_nothing_to_do(corpus: Path) -> None:
@@ -90,6 +93,21 @@ def test_smoke_show_and_remake(corpus: Path) -> None:
     code, payload = synthgen_command("show", str(corpus), "--sample", "3", "--remake")
     assert code == 0
     assert payload["remake"] == {"same": True, "differing": []}
+    (subject,) = payload["subjects"]
+    truth = synthgen.open_corpus(corpus)[3].truth
+    for key, values in (("pose", truth.pose), ("joints_m", truth.joints)):
+        assert subject[key] == values.astype(float).round(5).tolist()
+
+
+def test_edge_a_sample_that_is_rejected_now_is_not_the_same(
+    corpus: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from synthgen.corpus import show
+
+    rejected = ("scan: the scan is empty", [])
+    monkeypatch.setattr(show, "with_sensors", lambda *_: lambda spec: rejected)
+    again = show.describe(corpus, 0, remake=True)["remake"]
+    assert again == {"same": False, "differing": [], "reason": rejected[0]}
 
 
 def test_edge_show_out_of_range(corpus: Path) -> None:
@@ -103,6 +121,11 @@ def test_smoke_preview(corpus: Path, tmp_path: Path) -> None:
     code, payload = synthgen_command("preview", str(corpus), "--out", str(page))
     assert (code, payload) == (0, {"gallery": str(page)})
     assert "<img" in page.read_text()
+    sheet = tmp_path / "sheet.jpg"
+    words = ("preview", str(corpus), "--out", str(page), "--sheet", str(sheet))
+    assert synthgen_command(*words) == (0, {"gallery": str(page), "sheet": str(sheet)})
+    assert synthgen_command(*words[:2], *words[4:]) == (0, {"sheet": str(sheet)})
+    assert not (corpus / "gallery.html").exists()
 
 
 @pytest.mark.parametrize("verb", ["verify", "preview"])

@@ -34,6 +34,24 @@ def test_properties_every_value_is_one_that_the_schema_takes() -> None:
     assert Config.model_validate_json(json.dumps(plain)).optics.motion == FULL["optics"]["motion"]
 
 
+def test_properties_what_is_said_of_full_is_so() -> None:
+    """The schema's "In full ..." is what users read; it must be the value, and there for each."""
+    said = {}
+    for section, owner in Config.model_fields.items():
+        for key, field in getattr(owner.annotation, "model_fields", {}).items():
+            words = " ".join((field.description or "").split())
+            if "In full" in words and section not in ("quality",):
+                said[section, key] = words.rsplit("In full ", 1)[1].rstrip(".")
+
+    def word(value: object) -> str:
+        if isinstance(value, tuple):
+            return f"[{', '.join(word(v) for v in value)}]"
+        return f"{value:g}" if type(value) in (int, float) else str(value).replace("True", "true")
+
+    filled = {(s, k): word(v) for s, values in FULL.items() for k, v in values.items()}
+    assert said == filled
+
+
 def test_properties_resolved_form_reads_back_equal(tmp_path) -> None:  # type: ignore[no-untyped-def]
     config = load_config("hand_full")
     path = tmp_path / "c.yaml"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,36 @@ def test_properties_a_longer_plan_keeps_its_rows(tmp_path: Path) -> None:
     after = (tmp_path / "c" / PLAN).read_bytes()
     assert after.startswith(before)
     assert [json.loads(row)["index"] for row in after.splitlines()] == list(range(5))
+
+
+def test_edge_rows_of_an_emptied_folder_are_not_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who removes what is visible leaves the hidden part file: its rows are another corpus's."""
+
+    def interrupted(given: Config, index: int) -> SampleSpec:
+        if index == 3:
+            raise KeyboardInterrupt
+        return draw_sample(given, index)
+
+    monkeypatch.setattr(plan, "draw_sample", interrupted)
+    out = tmp_path / "c"
+    with pytest.raises(KeyboardInterrupt):
+        write_plan(config(6), out, progress=False)
+    for found in out.iterdir():
+        if found.name != PART:
+            shutil.rmtree(found) if found.is_dir() else found.unlink()
+    monkeypatch.undo()
+    other = load_config("fixtures", ["samples=4", "seed=9"])
+    write_plan(other, out, progress=False)
+    assert read_plan(out) == [draw_sample(other, k) for k in range(4)]
+
+
+def test_edge_a_folder_of_something_else_is_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "letters.txt").write_text("dear")
+    with pytest.raises(CorpusError, match="not empty and holds no corpus"):
+        write_plan(config(1), tmp_path, progress=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["letters.txt"]
 
 
 def test_edge_missing_and_damaged(tmp_path: Path) -> None:

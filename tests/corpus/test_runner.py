@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import filecmp
 import os
+from multiprocessing import queues
 from pathlib import Path
 
 import fake
@@ -94,6 +95,33 @@ def test_edge_workers_that_always_die(tmp_path: Path, monkeypatch: pytest.Monkey
         make(tmp_path / "dead", maker=fake.deadly, workers=2)
 
 
+def test_edge_what_a_worker_says_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A message that is sent round to be read again may be late, and the run look done."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+
+    def put(*_: object) -> None:
+        raise AssertionError("the parent has nothing to say to itself")
+
+    monkeypatch.setattr(queues.Queue, "put", put)
+    with pytest.raises(CorpusError, match="nothing pleases"):
+        make(tmp_path / "never", maker=fake.never, workers=2)
+
+
+def test_properties_a_range_of_shards_leaves_the_others(tmp_path: Path) -> None:
+    out = make(tmp_path / "c")
+    generate(config("samples=12"), out, shards_range=(3, 9), maker=fake.quick, progress=False)
+    assert shards.done_shards(out) == [0, 1, 2, 3]
+    assert [s.index for s in open_corpus(out)] == [*range(7), 9, 10, 11]
+    assert same(make(tmp_path / "whole", "samples=12"), make(out, "samples=12"))
+
+
+def test_edge_a_range_beyond_the_corpus(tmp_path: Path) -> None:
+    with pytest.raises(CorpusError, match=r"shards 3:9 holds none of the 3 shards 0:3"):
+        generate(config(), tmp_path / "c", shards_range=(3, 9), maker=fake.quick, progress=False)
+
+
 def test_properties_grows(tmp_path: Path) -> None:
     make(tmp_path / "grown", "samples=4")
     assert same(make(tmp_path / "whole"), make(tmp_path / "grown"))
@@ -138,6 +166,10 @@ def test_edge_another_model_under_the_same_name(
         make(out, f"model.name={mine}", "samples=9")
     with pytest.raises(CorpusError, match="its vertices would be wrong"):
         _ = open_corpus(out)[0].truth.vertices
+    tips = arrays["fingertip_ids"][[1, 0, 2, 3, 4]]  # keypoints move, vertices do not
+    np.savez(mine, **{**arrays, "fingertip_ids": tips})
+    with pytest.raises(CorpusError, match=r"making \(model_sha256 was"):
+        make(out, f"model.name={mine}", "samples=9")
 
 
 def test_edge_another_engine_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

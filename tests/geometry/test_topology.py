@@ -31,6 +31,12 @@ def test_edge_touching_in_a_point() -> None:
         boundary_loops(np.array([[0, 1, 2], [0, 3, 4]]))
 
 
+def test_edge_a_boundary_that_does_not_close() -> None:
+    doubled = np.array([[3, 2, 1], [2, 0, 1], [1, 0, 2], [2, 1, 0]])
+    with pytest.raises(ShapeError, match=r"ends at vertex \d; .* edge-manifold"):
+        boundary_loops(doubled)
+
+
 def test_reference_sphere_normals() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
     normals = vertex_normals(ball.vertices, ball.faces)

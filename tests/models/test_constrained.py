@@ -107,6 +107,7 @@ def test_properties_table_there_and_back() -> None:
     ("change", "words"),
     [
         ({"num_pose": 8}, "num_pose is 8"),
+        ({"num_pose": 2**62}, "num_pose is 4611686018427387904"),
         ({"indx_hinge": [[6]]}, "8 of them different"),
         ({"indx_hinge_axis": [3]}, "indx_hinge_axis refers to 3 of 3"),
         ({"indx_hinge_axis": []}, "numbers of hinges and of their axes"),

@@ -11,7 +11,7 @@ from random_models import FAMILIES, Draw, draw, model
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.rotations import matrix_from_axis_angle
-from synthgen.models import BodyModel
+from synthgen.models import BodyModel, load
 
 LIMIT_M = 2e-6
 
@@ -196,3 +196,16 @@ def test_properties_kernels_are_compiled_once() -> None:
 
 def replace_pose(given: Draw, pose: np.ndarray) -> Draw:
     return Draw(given.shape, pose, given.translation, given.expression)
+
+
+def test_edge_rest_pose_of_bad_coefficients() -> None:
+    made = load("cc0-hand")
+    vertices, joints = made.shaped(np.zeros(0))
+    np.testing.assert_allclose(vertices, made.v_template)
+    assert joints.shape == (16, 3)
+    for bad, words in ((np.zeros(11), "n <= 10"), (np.zeros((1, 10)), r"\(1, 10\)"),
+                       (np.full(3, np.nan), "finite")):  # fmt: skip
+        with pytest.raises(ShapeError, match=words):
+            made.shaped(bad)
+    with pytest.raises(ShapeError, match="expression"):
+        made.shaped(np.zeros(3), np.zeros(2))

@@ -392,8 +392,27 @@ def test_edge_arrays_that_grow_when_they_are_read(
     content = mano_files.arrays()
     content["posedirs"] = np.zeros((241, 3, 135), dtype=np.int8)
     np.savez(tmp_path / "bad.npz", **content)
-    monkeypatch.setattr("synthgen.models.families.MAX_BYTES", 700_000)
+    monkeypatch.setattr("synthgen.models.content.MAX_BYTES", 700_000)
     with pytest.raises(ModelError, match=r"the largest, posedirs, is \(241, 3, 135\)"):
+        load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("key", ["more_q", "uv", "mask_more", "fingertip_ids", "part_more"])
+def test_edge_keys_of_our_own_that_grow_when_they_are_read(tmp_path: Path, key: str) -> None:
+    """Zeros of one byte, packed to nothing, would take eight times as much."""
+    zeros = {key: np.zeros((60 * 2**20, 1), dtype=np.int8), "more_scale": np.ones(1)}
+    rng = np.random.Generator(np.random.Philox(3))
+    ballast = rng.integers(0, 255, 2**21, dtype=np.uint8)  # or the archive would unpack too far
+    np.savez_compressed(tmp_path / "bad.npz", **mano_files.arrays(), **zeros, ballast=ballast)
+    with bounded(), pytest.raises(ModelError, match=rf"the largest, {key}, is"):
+        load(tmp_path / "bad.npz")
+
+
+def test_edge_a_mesh_that_cannot_be_closed(tmp_path: Path) -> None:
+    content = mano_files.arrays()
+    content["f"] = np.concatenate([content["f"], [[0, 10, 100]]])  # a third face on an edge
+    np.savez(tmp_path / "bad.npz", **content)
+    with pytest.raises(ModelError, match=r"bad\.npz: f: .*(edge-manifold|boundar)"):
         load(tmp_path / "bad.npz")
 
 

@@ -153,6 +153,8 @@ def test_edge_inverse_arguments(tmp_path: Path) -> None:
         fit_vertices(hand, np.zeros((5, 3)))
     with pytest.raises(ShapeError, match="NaN"):
         fit_vertices(hand, np.full((4, 3), np.nan), np.arange(4))
+    with pytest.raises(ShapeError, match=r"n_shape=-1.*negative"):
+        fit_vertices(hand, hand.v_template, n_shape=-1)
     with pytest.raises(ModelError, match="known are smplh"):
         map_pose(np.zeros((52, 3)), "smpl", "supr")
     with pytest.raises(ShapeError, match="52, 3"):

@@ -147,3 +147,5 @@ def test_edge_bodies_that_do_not_pair_up(tmp_path: Path) -> None:
         mirror_pose(np.zeros((52, 3)), replace(model, joint_names=names))
     with pytest.raises(ShapeError, match="52, 3"):
         mirror_pose(np.zeros((24, 3)), model)
+    with pytest.raises(ShapeError, match=r"\.\.\., 3"):
+        mirror_pose(np.zeros((16, 4)))

@@ -67,6 +67,15 @@ def test_properties_there_and_back(made: BodyModel) -> None:
 def test_edge_not_rigid() -> None:
     made = model("mano")
     given = draw(made, 1)
-    for bad in (np.diag([2.0, 2, 2, 1]), np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan)):
+    nowhere = np.eye(4)
+    nowhere[0, 3] = np.nan
+    for bad in (
+        np.diag([2.0, 2, 2, 1]),
+        np.diag([-1.0, 1, 1, 1]),
+        np.full((4, 4), np.nan),
+        nowhere,
+    ):
         with pytest.raises(ShapeError, match="not rigid"):
             recentre(made, given.shape, given.pose, given.translation, bad)
+    with pytest.raises(ShapeError, match=r"\(3, 3\); expected \(4, 4\) or \(1, 4, 4\)"):
+        recentre(made, given.shape, given.pose, given.translation, np.eye(3))

@@ -13,6 +13,7 @@ import pytest
 
 from synthgen.errors import ModelError
 from synthgen.models import convert, load, load_content, load_hand, separate
+from synthgen.models.model import Hand
 
 
 def source(family: str, folder: Path, pairs: int = 60) -> Path:
@@ -144,3 +145,18 @@ def test_edge_targets(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be written"):
         convert(path, tmp_path / "file" / "x.npz")
     assert not list(tmp_path.glob(".making-*"))
+
+
+@pytest.mark.parametrize(("name", "target"), [("LEFT", "mine"), ("RIGHT", "from_left")])
+@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
+def test_properties_a_hand_keeps_its_side(
+    name: str, target: str, suffix: str, tmp_path: Path
+) -> None:
+    """Of many files only the name tells the side: a new name must not make it the other hand."""
+    start = tmp_path / f"MANO_{name}.pkl"
+    mano_files.write_pickle(start, mano_files.arrays())
+    side: Hand = "left" if name == "LEFT" else "right"
+    path = convert(start, tmp_path / f"{target}{suffix}")
+    a, b = load_hand(start, hand=side), load_hand(path, hand=side)
+    np.testing.assert_array_equal(a.v_template, b.v_template)
+    np.testing.assert_array_equal(a.posedirs, b.posedirs)
