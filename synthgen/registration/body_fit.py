@@ -19,6 +19,7 @@ from synthgen.registration.body_search import BodySearch
 from synthgen.registration.body_start import spread_yaws, yaws
 from synthgen.registration.body_statistics import BodyStatistics, body_statistics, judge_body
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.certainty import covariance
 from synthgen.registration.coupled import BODY as BODY_COUPLING
 from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit
@@ -32,8 +33,6 @@ from synthgen.registration.verdict import Judgement
 Array = NDArray[np.float64]
 # Estimating normals costs more than the fit; fewer points would be coarser than fingers.
 ESTIMATED = 150_000
-# Of the coupled stage: what lies between the scan and the model is misfit too, not only noise.
-NOISE_M = (2e-4, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,34 +220,26 @@ def judged(search: BodySearch, outcome: Outcome) -> BodyCandidate:
     placed = outcome.trial.placed
     assert isinstance(placed, BodyPlaced)
     began = time.process_time()
-    hessian, basis = information(search.priors, search.scan, placed, outcome)
-    found = body_statistics(placed, search.scan, hessian, basis)
+    found = body_statistics(placed, search.scan, spread(search, placed))
     search.seconds["report"] = time.process_time() - began
     return BodyCandidate(placed, found, judge_body(found, placed.x[search.surface.shape]))
 
 
-def information(
-    priors: BodyPriors, scan: Scan, placed: BodyPlaced, outcome: Outcome
-) -> tuple[Array, Array]:
-    """Return the inverse covariance (p, p) of the directions (n, p) of the last stage."""
-    surface, stage = priors.surface, schedule.LAST
-    pairs = outcome.trial.matches[0]
-    squared = pairs.squared[pairs.kept]
-    noise = float(np.sqrt(np.median(squared)) / 0.6745) if len(squared) else 1e-3
-    crops = schedule.hand_crops(placed, scan)
-    wanted = stage.points + len(crops) * stage.hand_points
-    stage = replace(stage, n_eff=wanted, noise_m=float(np.clip(noise, 2e-4, 4e-3)))
-    energy = Energy(surface, schedule.body_terms(surface, scan, stage, priors.terms(), crops))
-    hessian, _ = energy.normal_equations(energy.at(placed.x))
-    basis = schedule.basis_of(priors, stage)
-    return basis.T @ hessian @ basis, basis
+def spread(search: BodySearch, placed: BodyPlaced) -> Array:
+    """Return the covariance (n, n) of the parameters at the end of the last stage."""
+    priors, stage = search.priors, schedule.LAST
+    crops = schedule.hand_crops(placed, search.scan)
+    known = [*priors.terms(), *search.extra]
+    energy = Energy(
+        priors.surface, schedule.body_terms(priors.surface, search.scan, stage, known, crops)
+    )
+    return covariance(energy, energy.at(placed.x), basis=schedule.basis_of(priors, stage))
 
 
 def _freed(search: BodySearch, chosen: BodyCandidate) -> Array:
     """Return the mesh (V, 3) of the coupled stage."""
     began = time.process_time()
-    noise = float(np.clip(chosen.statistics.noise_m, *NOISE_M))
-    free = couple(search.surface, search.scan, chosen.placed.x, (), noise, BODY_COUPLING).vertices
+    free = couple(search.surface, search.scan, chosen.placed.x, (), settings=BODY_COUPLING).vertices
     search.seconds["coupled"] = time.process_time() - began
     return free
 
@@ -311,7 +302,7 @@ def _result(
         "points": len(search.scan.points),
         "points_dropped": dropped,
         "stages": search.stages,
-        "largest_beta": float(np.abs(chosen.placed.x[search.surface.shape]).max()),
+        "largest_beta": float(np.abs(chosen.placed.x[search.surface.shape]).max(initial=0.0)),
         "statistics": chosen.statistics.to_json(),
         "cpu_s": {"total": cpu_s, **search.seconds},
     }

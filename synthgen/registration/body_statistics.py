@@ -118,8 +118,8 @@ def _part(joint: str) -> str:
     return kind if kind in PARTS else f"{joint.split('_')[0]}_{kind}"
 
 
-def body_statistics(placed: BodyPlaced, scan: Scan, hessian: Array, basis: Array) -> BodyStatistics:
-    """Compare a placed body with a scan; ``hessian`` (p, p) is that of the directions ``basis``."""
+def body_statistics(placed: BodyPlaced, scan: Scan, covariance: Array) -> BodyStatistics:
+    """Compare a placed body with a scan; ``covariance`` (n, n) is that of its parameters."""
     crops = hand_crops(placed, scan)
     ids = np.concatenate([np.arange(len(scan.points))[-EVALUATED:], *(c[-1500:] for c in crops)])
     points, normals = scan.points[ids], scan.normals[ids]
@@ -139,7 +139,7 @@ def body_statistics(placed: BodyPlaced, scan: Scan, hessian: Array, basis: Array
         own = near & (part == k)
         if own.sum() >= LEAST_POINTS:
             unexplained[k], p95[k] = bad[own].mean(), np.quantile(distance[own], 0.95)
-    covered, sd = coverage(placed, scan), predicted_sd(placed, hessian, basis)
+    covered, sd = coverage(placed, scan), predicted_sd(placed, covariance)
     return BodyStatistics(
         explained=float((~bad)[plain].mean()) if plain.any() else 0.0,
         far=float((~near)[uniform].mean()),
@@ -165,17 +165,15 @@ def coverage(placed: BodyPlaced, scan: Scan) -> NDArray[np.bool_]:
     return result
 
 
-def predicted_sd(placed: BodyPlaced, hessian: Array, basis: Array) -> Array:
-    """Predict vertex standard deviations (V,), metres, from J H^-1 J^T at some vertices."""
+def predicted_sd(placed: BodyPlaced, covariance: Array) -> Array:
+    """Predict vertex standard deviations (V,), metres, from J C J^T at some vertices."""
     some, of_vertex = _sampled(placed.surface)
-    # No Cholesky root: where hardly a point is seen, rounding leaves the inverse indefinite.
-    values, vectors = np.linalg.eigh(hessian)
-    root = basis @ (vectors / np.sqrt(np.maximum(values, 1e-12 * np.trace(hessian) / len(values))))
     variance = np.zeros(len(some))
     for axis in range(3):
         along = np.tile(np.eye(3)[axis], (len(some), 1))
-        variance += np.sum((placed.vertex_rows(some, along) @ root) ** 2, axis=1)
-    return np.asarray(np.sqrt(variance)[of_vertex])
+        rows = placed.vertex_rows(some, along)
+        variance += np.sum((rows @ covariance) * rows, axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0))[of_vertex])
 
 
 @lru_cache(maxsize=8)
@@ -204,7 +202,7 @@ def judge_body(s: BodyStatistics, shape: Array) -> Judgement:
         return Judgement("fail", "noise_above_spec")
     if bad:
         return Judgement("fail", "part_missed", bad)
-    if np.abs(shape).max() > SHAPE_SD:
+    if np.abs(shape).max(initial=0.0) > SHAPE_SD:
         return Judgement("fail", "shape_limit")
     hidden = tuple(part for k, part in enumerate(PARTS) if _is_hidden(s, k))
     return Judgement("unobserved", "hole", hidden) if hidden else Judgement("pass")

@@ -35,6 +35,10 @@ Array = NDArray[np.float64]
 TOLERANCE_M = 2e-6
 
 
+# No scan is better than this.
+LEAST_NOISE_M = 1e-4
+
+
 @dataclass(frozen=True)
 class CoupledSettings:
     """Of the coupled stage.
@@ -118,10 +122,15 @@ def couple(
     scan: Scan,
     x: Array,
     priors: Sequence[Term],
-    noise_m: float,
+    noise_m: float | None = None,
     settings: CoupledSettings = CoupledSettings(),
 ) -> Coupled:
-    """Free the mesh from the model, starting at a good fit x."""
+    """Free the mesh from the model, starting at a good fit x.
+
+    ``noise_m`` is that of the points; None: the scan's own scatter, which knows of no misfit.
+    """
+    if noise_m is None:
+        noise_m = max(scan.local_noise_m, LEAST_NOISE_M)
     mesh, placed = mesh_of(surface), surface.at(x)
     if not settings.follow:
         free, seen = freed(mesh, placed.vertices, scan, noise_m, settings)

@@ -330,9 +330,8 @@ def _freed(request: _Request, run: _Run, chosen: Candidate) -> Array | None:
     if not request.coupled or chosen.statistics is None:
         return None
     began = time.process_time()
-    settings, noise = run.settings, max(run.scan.local_noise_m, 1e-4)
-    priors = settings.priors(1.0)
-    free = couple(settings.surface, run.scan, chosen.x, priors, noise).vertices
+    settings = run.settings
+    free = couple(settings.surface, run.scan, chosen.x, settings.priors(1.0)).vertices
     run.search.seconds["coupled"] = time.process_time() - began
     return free
 
@@ -359,7 +358,7 @@ def _report(
         "points_dropped": dropped,
         "candidates": tried,
         "stages": chosen.stages,
-        "largest_beta": float(np.abs(chosen.x[run.settings.surface.shape]).max()),
+        "largest_beta": float(np.abs(chosen.x[run.settings.surface.shape]).max(initial=0.0)),
         "statistics": None if found is None else found.to_json(),
         "cpu_s": {"total": cpu, **run.search.seconds},
     }

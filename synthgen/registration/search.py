@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from synthgen.models import BodyModel
 from synthgen.registration import coarse
 from synthgen.registration.begin import beginnings
+from synthgen.registration.certainty import covariance
 from synthgen.registration.coarse_model import CoarseModel, Single, Starts
 from synthgen.registration.patches import patches_of
 from synthgen.registration.prior import HandPrior
@@ -92,7 +93,6 @@ class Candidate:
     early: float
     statistics: Statistics | None = None
     judgement: Judgement | None = None
-    hessian: Array | None = None
     stages: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -208,14 +208,15 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         if stage.points >= FINAL.points and k + 1 < len(settings.preset.finish):
             inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
-    hessian, gradient = _information(settings, scan, outcome, stage)
-    pending = float(gradient @ np.linalg.solve(hessian, gradient)) / max(outcome.trial.cost, 1e-9)
+    energy = Energy(settings.surface, stage_terms(scan, stage, settings.priors(1.0)))
+    step, pending = _pending(energy, outcome)
+    spread = covariance(energy, outcome.trial, together=inflation) + np.outer(step, step)
     found = statistics(
-        outcome.trial.placed, scan, hessian, settings.curved, inflation, outcome.trial.matches[0],
+        outcome.trial.placed, scan, spread, settings.curved, inflation, outcome.trial.matches[0],
         pending,
     )  # fmt: skip
     verdict = judge(found, x[settings.surface.shape])
-    return Candidate(x, source, early, found, verdict, hessian, log)
+    return Candidate(x, source, early, found, verdict, log)
 
 
 def _begin(scan: Scan, stage: Stage, before: Outcome | None) -> NDArray[np.int64] | None:
@@ -234,14 +235,12 @@ def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -
     return following.n_eff / found.effective(following.n_eff)
 
 
-def _information(
-    settings: Settings, scan: Scan, outcome: Outcome, stage: Stage
-) -> tuple[Array, Array]:
-    """Return the last stage's Hessian at full priors, the inverse covariance; and its gradient."""
-    terms = stage_terms(scan, stage, settings.priors(1.0))
-    hessian, gradient = Energy(settings.surface, terms).normal_equations(outcome.trial)
-    ridge = 1e-12 * np.trace(hessian) / len(hessian)
-    return hessian + ridge * np.eye(len(hessian)), gradient
+def _pending(energy: Energy, outcome: Outcome) -> tuple[Array, float]:
+    """Return the step (n,) that is left, and the share of the energy that it promises to remove."""
+    hessian, gradient = energy.normal_equations(outcome.trial)
+    ridge = 1e-12 * np.trace(hessian) / len(hessian) * np.eye(len(hessian))
+    step = np.linalg.solve(hessian + ridge, gradient)
+    return step, float(gradient @ step) / max(outcome.trial.cost, 1e-9)
 
 
 def _logged(stage: Stage, outcome: Outcome, began: float) -> dict[str, Any]:

@@ -75,6 +75,16 @@ class Energy:
         return hessian, gradient
 
 
+def gram(rows: Array, weight: Array) -> Array:
+    """Return J^T W J (n, n) of rows (m, n) and weights (m,)."""
+    n = rows.shape[1]
+    if n >= SPARSE_FROM:
+        result, unused = np.zeros((n, n)), np.zeros(n)
+        normal_sums(rows, weight, np.zeros(len(rows)), result, unused)
+        return result + np.tril(result, -1).T
+    return np.asarray(rows.T @ (weight[:, None] * rows))
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """Where a solver stopped: trial, steps taken, and why ("converged", "cap", "stuck")."""

@@ -135,16 +135,16 @@ def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
 def statistics(
     placed: Placed,
     scan: Scan,
-    hessian: Array,
+    covariance: Array,
     curved: float = 0.0,
     inflation: float = 1.0,
     last: Pairs | None = None,
     pending: float = 0.0,
 ) -> Statistics:
-    """Compare a placed hand with a scan; ``hessian`` (n, n) is that of the last stage.
+    """Compare a placed hand with a scan.
 
-    ``last`` are that stage's matches of the scan's leading points: where they are all of the scan,
-    the comparison walks on from them.
+    ``covariance`` (n, n) is that of its parameters. ``last`` are the last stage's matches of the
+    scan's leading points: where they are all of the scan, the comparison walks on from them.
     """
     points, normals = scan.points[-EVALUATED:], scan.normals[-EVALUATED:]
     pairs = closest(placed, points, normals, cut_m=NEAR_M, cosine=-2.0, curved=curved,
@@ -167,7 +167,7 @@ def statistics(
             ratios[k] -= 2.5 * QUANTILE_ERROR / np.sqrt(own.sum())
     inner = near & ~bad
     covered = coverage(placed, scan)
-    sd = predicted_sd(placed, hessian)
+    sd = predicted_sd(placed, covariance)
     by_vertex = part_of_vertex(placed.surface.model)
     patches = patches_of(placed, pairs, points, normals, noise)
     return Statistics(
@@ -204,11 +204,11 @@ def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
     return np.asarray(alike & (distance < COVERED_M))
 
 
-def predicted_sd(placed: Placed, hessian: Array) -> Array:
-    """Predict vertex standard deviations (V,), metres, from J H^-1 J^T."""
-    root = np.linalg.cholesky(np.linalg.inv(hessian))
-    spread = placed.jacobian.reshape(-1, len(hessian)) @ root
-    return np.asarray(np.sqrt(np.sum(spread**2, axis=1).reshape(-1, 3).sum(axis=1)))
+def predicted_sd(placed: Placed, covariance: Array) -> Array:
+    """Predict vertex standard deviations (V,), metres, from J C J^T."""
+    slopes = placed.jacobian.reshape(-1, len(covariance))
+    variance = np.sum((slopes @ covariance) * slopes, axis=1).reshape(-1, 3).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
 def early_explained(placed: Placed, scan: Scan, limit_m: float = 0.003) -> float:

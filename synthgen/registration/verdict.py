@@ -35,7 +35,7 @@ MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 # Biased patches of a part that is right are chance (6e-5) and the fit's own small errors; where the
 # whole hand is biased, the model misfits everywhere and no part stands out.
 BIASED, BIASED_RATIO = 0.05, 5.0
-SD95_M, SD_PER_NOISE = 5e-4, 0.7
+SD95_M, SD_PER_NOISE = 6e-4, 1.4
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 PENDING = 0.01  # one more step would lower the energy by a hundredth: the solver was cut short
 
@@ -95,7 +95,7 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
         return Judgement("fail", "finger_missed", wrong)
     if s.pending > PENDING:
         return Judgement("fail", "not_converged")
-    if np.abs(shape).max() > SHAPE_SD:
+    if np.abs(shape).max(initial=0.0) > SHAPE_SD:
         return Judgement("fail", "shape_limit")
     limit = sd_limit_m(s.noise_m, s.inflation)
     if s.sd95_all_m > limit:
