@@ -54,7 +54,14 @@ def verify(
     hidden = len(found.failures) - len(lines)
     lines += [f"... and {hidden} more (--report FILE holds all)"] if hidden > 0 else []
     verdict = "ok" if found.ok else f"{len(found.failures)} failures"
+    if found.never_judged:
+        verdict += f", but nothing is known of {', '.join(found.never_judged)}"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
+    lines += [
+        f"not judged: {check}, {times} times of {times + found.judged[check]}: {reason}"
+        for check, reasons in found.reasons().items()
+        for reason, times in reasons.items()
+    ]
     lines += [f"{n} views store no {column}: only their other labels were checked"
               for column, n in sorted(found.lacking.items())]  # fmt: skip
     good = found.ok

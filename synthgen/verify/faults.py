@@ -32,14 +32,18 @@ class Fault:
     change : callable
         Puts it into a sample's draft; the second draft is the next sample's.
     needs : str
-        The column in which it shows: "meta", "image", "labels", "depth" or "scan".
+        The column in which it shows: "meta", "image", "labels", "depth", "scan" or "stereo".
     absent : str
         Where it changes nothing: what the corpus would have to contain.
+    witness : str
+        The one check that shows it, if it is one: where that check cannot judge a sample, the
+        fault is not observable there.
     """
 
     change: Callable[[Draft, Draft], None]
     needs: str = "meta"
     absent: str = "it changes nothing in this corpus"
+    witness: str = ""
 
 
 def _views(change: Callable[[ViewDraft], None]) -> Callable[[Draft, Draft], None]:

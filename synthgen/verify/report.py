@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -18,11 +19,22 @@ class Failure:
     message: str
 
 
+@dataclass(frozen=True)
+class Unjudged:
+    """One check that could not judge something of a sample, and why; it is no pass."""
+
+    sample: int
+    view: int
+    check: str
+    reason: str
+
+
 @dataclass
 class VerifyReport:
     """Failures, and per check the worst value seen beside its limit.
 
     ``lacking`` counts views by the column that they lack: ``depth`` where a corpus stores none.
+    ``unjudged`` is what a check could not judge; ``judged`` counts what each did judge.
     """
 
     samples: int = 0
@@ -30,20 +42,41 @@ class VerifyReport:
     failures: list[Failure] = field(default_factory=list)
     worst: dict[str, tuple[float, float]] = field(default_factory=dict)
     lacking: dict[str, int] = field(default_factory=dict)
+    unjudged: list[Unjudged] = field(default_factory=list)
+    judged: Counter[str] = field(default_factory=Counter)
 
     @property
     def ok(self) -> bool:
-        """Whether nothing failed."""
+        """Whether nothing failed; see :attr:`never_judged` for what nothing is known about."""
         return not self.failures
+
+    @property
+    def never_judged(self) -> list[str]:
+        """Checks that could judge nothing of what was looked at, sorted."""
+        return sorted({row.check for row in self.unjudged} - set(self.judged))
 
     def measure(
         self, sample: int, view: int, check: str, value: float, limit: float, message: str
     ) -> None:
         """Record a measurement that must not exceed its limit (NaN fails)."""
-        seen = self.worst.get(check, (-1.0, limit))[0]
+        seen = self.worst.get(check, (-float("inf"), limit))[0]
         self.worst[check] = (max(seen, value) if value == value else value, limit)
+        self.judged[check] += 1
         if not value <= limit:
             self.failures.append(Failure(sample, view, check, value, limit, message))
+
+    def not_judged(self, sample: int, view: int, check: str, reason: str) -> None:
+        """Record that a check could not judge something."""
+        self.unjudged.append(Unjudged(sample, view, check, reason))
+
+    def reasons(self) -> dict[str, dict[str, int]]:
+        """How often each check could not judge, by reason: ``{check: {reason: times}}``."""
+        found: dict[str, dict[str, int]] = {}
+        for (check, reason), times in sorted(
+            Counter((row.check, row.reason) for row in self.unjudged).items()
+        ):
+            found.setdefault(check, {})[reason] = times
+        return found
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON types."""
@@ -52,6 +85,11 @@ class VerifyReport:
             "samples": self.samples,
             "views": self.views,
             "lacking": self.lacking,
+            "not_judged": {
+                check: {"judged": self.judged[check], "not_judged": sum(reasons.values()),
+                        "reasons": reasons}
+                for check, reasons in self.reasons().items()
+            },
             "worst": {k: {"value": v, "limit": m} for k, (v, m) in sorted(self.worst.items())},
             "failures": [asdict(failure) for failure in self.failures],
-        }
+        }  # fmt: skip
