@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.raster import rasterise
 from synthgen.scanner.glass import seen_position
-from synthgen.verify.stereo_pair import FEWEST, Pair, Record
+from synthgen.verify.report import Record
+from synthgen.verify.stereo_pair import FEWEST, Pair
 
 Array = NDArray[np.float64]
 Grid = NDArray[np.floating[Any]]

@@ -27,6 +27,7 @@ class Unjudged:
     view: int
     check: str
     reason: str
+    times: int = 1
 
 
 @dataclass
@@ -56,26 +57,32 @@ class VerifyReport:
         return sorted({row.check for row in self.unjudged} - set(self.judged))
 
     def measure(
-        self, sample: int, view: int, check: str, value: float, limit: float, message: str
+        self,
+        sample: int,
+        view: int,
+        check: str,
+        value: float,
+        limit: float,
+        message: str,
+        times: int = 1,
     ) -> None:
-        """Record a measurement that must not exceed its limit (NaN fails)."""
+        """Record a measurement, of so many things, that must not exceed its limit (NaN fails)."""
         seen = self.worst.get(check, (-float("inf"), limit))[0]
         self.worst[check] = (max(seen, value) if value == value else value, limit)
-        self.judged[check] += 1
+        self.judged[check] += times
         if not value <= limit:
             self.failures.append(Failure(sample, view, check, value, limit, message))
 
-    def not_judged(self, sample: int, view: int, check: str, reason: str) -> None:
-        """Record that a check could not judge something."""
-        self.unjudged.append(Unjudged(sample, view, check, reason))
+    def not_judged(self, sample: int, view: int, check: str, reason: str, times: int = 1) -> None:
+        """Record that a check could not judge something, or so many things."""
+        self.unjudged.append(Unjudged(sample, view, check, reason, times))
 
     def reasons(self) -> dict[str, dict[str, int]]:
         """How often each check could not judge, by reason: ``{check: {reason: times}}``."""
         found: dict[str, dict[str, int]] = {}
-        for (check, reason), times in sorted(
-            Counter((row.check, row.reason) for row in self.unjudged).items()
-        ):
-            found.setdefault(check, {})[reason] = times
+        for row in sorted(self.unjudged, key=lambda row: (row.check, row.reason)):
+            reasons = found.setdefault(row.check, {})
+            reasons[row.reason] = reasons.get(row.reason, 0) + row.times
         return found
 
     def to_json(self) -> dict[str, Any]:
@@ -93,3 +100,22 @@ class VerifyReport:
             "worst": {k: {"value": v, "limit": m} for k, (v, m) in sorted(self.worst.items())},
             "failures": [asdict(failure) for failure in self.failures],
         }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Record:
+    """Where the findings about one view go (-1: the sample's), or about one part of it."""
+
+    report: VerifyReport
+    sample: int
+    view: int = -1
+    about: str = ""
+
+    def measure(self, check: str, value: Any, limit: float, message: str, times: int = 1) -> None:
+        """Record a measurement that must not exceed its limit."""
+        told = self.about + message
+        self.report.measure(self.sample, self.view, check, float(value), limit, told, times)
+
+    def skip(self, check: str, reason: str, times: int = 1) -> None:
+        """Record that the check could not judge it."""
+        self.report.not_judged(self.sample, self.view, check, reason, times)

@@ -7,6 +7,7 @@ surface through the true cameras with OpenCV's lens model, and the pictures them
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,9 @@ from synthgen.errors import SynthgenError
 from synthgen.geometry.cameras import Camera
 from synthgen.scanner import Rig, Scan, load_rig, scaled
 from synthgen.verify.disparities import check_disparity, check_pictures, check_true_disparity
-from synthgen.verify.report import VerifyReport
+from synthgen.verify.report import Record, VerifyReport
 from synthgen.verify.stand_in import drawn_hand
-from synthgen.verify.stereo_pair import FEWEST, Pair, Record
+from synthgen.verify.stereo_pair import FEWEST, Pair
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def check_stereo(report: VerifyReport, rig: Rig | str, sample: Sample) -> None:
                    f"no rectified pair is stored of {', '.join(sorted(lost))}")  # fmt: skip
     pairs = _pairs(scan, rig, sample, np.array(facts["T_world_from_rig"]))
     for pair in pairs:
-        record = Record(report, sample.index, pair.stored.ident)
+        record = Record(report, sample.index, about=f"unit {pair.stored.ident}: ")
         _check_calibration(record, pair)
         _check_Q(record, pair)
         check_true_disparity(record, pair)
@@ -138,5 +139,5 @@ def _check_scan(record: Record, pair: Pair) -> None:
     points = h[:, :3] / h[:, 3:] @ unit.pair.camera.T[:3, :3].T + unit.pair.camera.position
     away = pair.scan.query(points)[0]
     apart: Any = pair.scan.query(pair.scan.data[::7], k=2)[0]
-    record.measure("scan from pairs", np.median(away), SCAN_M + np.median(apart[:, 1]),
+    record.measure("scan from pairs", np.median(away), SCAN_M + float(np.median(apart[:, 1])),
                    "m from disparities through Q to the scan (median)")  # fmt: skip

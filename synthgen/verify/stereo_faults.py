@@ -16,12 +16,12 @@ _DISPARITIES = ("disparity", "true")
 _ABSENT = "there is no other unit, or all are of one design and have the same"
 
 
-def _units(change: Callable[[UnitDraft], None]) -> Fault:
+def _units(change: Callable[[UnitDraft], None], witness: str = "") -> Fault:
     def apply(draft: Draft, _: Draft) -> None:
         for unit in draft.units.values():
             change(unit)
 
-    return Fault(apply, "stereo")
+    return Fault(apply, "stereo", witness=witness)
 
 
 def _facts(change: Callable[[dict[str, Any]], Any]) -> Fault:
@@ -38,14 +38,14 @@ def _disparities(change: Callable[[UnitDraft, Array], Array]) -> Fault:
     return _units(apply)
 
 
-def _array(name: str, change: Callable[[Array], Array]) -> Fault:
+def _array(name: str, change: Callable[[Array], Array], witness: str) -> Fault:
     def apply(unit: UnitDraft) -> None:
         unit[name] = change(unit[name])
 
-    return _units(apply)
+    return _units(apply, witness)
 
 
-def _of_next_unit(*names: str) -> Fault:
+def _of_next_unit(*names: str, witness: str = "") -> Fault:
     """Store arrays, or some facts, of the next unit with each."""
 
     def apply(draft: Draft, _: Draft) -> None:
@@ -56,7 +56,7 @@ def _of_next_unit(*names: str) -> Fault:
                 if not _alike(value, unit[name]):
                     unit[name] = value
 
-    return Fault(apply, "stereo", _ABSENT)
+    return Fault(apply, "stereo", _ABSENT, witness)
 
 
 def _alike(one: Any, other: Any) -> bool:
@@ -66,11 +66,11 @@ def _alike(one: Any, other: Any) -> bool:
     return bool(np.array_equal(one, other)) if isinstance(one, np.ndarray) else bool(one == other)
 
 
-def _swapped(first: str, second: str) -> Fault:
+def _swapped(first: str, second: str, witness: str = "") -> Fault:
     def apply(unit: UnitDraft) -> None:
         unit[first], unit[second] = unit[second], unit[first]
 
-    return _units(apply)
+    return _units(apply, witness)
 
 
 def _of_next_sample(draft: Draft, following: Draft) -> None:
@@ -124,9 +124,9 @@ def _raw_camera(facts: dict[str, Any]) -> None:
 
 
 STEREO_FAULTS: dict[str, Fault] = {
-    "pair swapped": _swapped("left.png", "right.png"),
+    "pair swapped": _swapped("left.png", "right.png", "stereo pictures"),
     "cameras of a pair swapped": _swapped("left", "right"),
-    "pictures of another unit": _of_next_unit("left.png", "right.png"),
+    "pictures of another unit": _of_next_unit("left.png", "right.png", witness="stereo pictures"),
     "disparities of another unit": _of_next_unit(*_DISPARITIES),
     "disparities of the next sample": Fault(
         _of_next_sample, "stereo", "a corpus of one sample has no next one"
@@ -142,10 +142,12 @@ STEREO_FAULTS: dict[str, Fault] = {
     "pixels counted from their corners": _facts(_centre_of_K),
     "rectified camera as before rectification": _facts(_raw_camera),
     "pairs left in the rig's frame": Fault(_in_rig_frame, "stereo"),
-    "right picture half a pixel off": _array("right.png", _half_right),
+    "right picture half a pixel off": _array("right.png", _half_right, "stereo pictures"),
     "disparity with the opposite sign": _disparities(lambda _, d: -d),
     "disparity half a pixel off": _disparities(lambda _, d: d + np.float32(0.5)),
-    "measured disparity half a pixel off": _array("disparity", lambda d: d + np.float32(0.5)),
+    "measured disparity half a pixel off": _array(
+        "disparity", lambda d: d + np.float32(0.5), "disparity"
+    ),
     # OpenCV's matchers give sixteenths
     "disparity in sixteenths": _disparities(lambda _, d: 16 * d),
     "disparity in samples of its grid": _disparities(lambda unit, d: d / unit.facts["step"]),

@@ -1,9 +1,8 @@
-"""One unit's part of a scan, with what is known of it beside, and where findings about it go."""
+"""One unit's part of a scan, with what is known of it beside."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from synthgen.scanner import UnitScan
 from synthgen.scanner.rig import Glass, Unit
-from synthgen.verify.report import VerifyReport
 
 Array = NDArray[np.float64]
 FEWEST = 150  # samples of a unit's grid, to tell anything of it
@@ -45,21 +43,3 @@ class Pair:
     vertices: Array
     faces: NDArray[np.int64]
     scan: cKDTree
-
-
-@dataclass(frozen=True)
-class Record:
-    """Where the findings about one unit go."""
-
-    report: VerifyReport
-    sample: int
-    ident: str
-
-    def measure(self, check: str, value: Any, limit: float, message: str) -> None:
-        """Record a measurement of this unit."""
-        told = f"unit {self.ident}: {message}"
-        self.report.measure(self.sample, -1, check, float(value), limit, told)
-
-    def skip(self, check: str, reason: str) -> None:
-        """Record that nothing can be said about this unit."""
-        self.report.not_judged(self.sample, -1, check, reason)

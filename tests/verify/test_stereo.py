@@ -28,6 +28,10 @@ GRIDS = {"stereo rows", "Q", "true disparity", "disparity grid", "disparity", "d
          "stereo units"}  # fmt: skip
 
 
+# What views of 64 pixels are too small for.
+PICTURES = {"normals", "stale image"}
+
+
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
     out = tmp_path_factory.mktemp("stereo") / "c"
@@ -92,7 +96,7 @@ def test_edge_without_its_rig_a_pair_is_judged_by_the_rest(corpus: Corpus, tmp_p
     assert rig_of(open_corpus(copy)) == "the rig's file has changed since it scanned"
     report = verify(copy, samples=1)
     assert report.ok
-    assert report.never_judged == ["stereo cameras", "true disparity"]
+    assert set(report.never_judged) - PICTURES == {"stereo cameras", "true disparity"}
     assert report.judged["Q"] and report.judged["stereo pictures"]
 
 
