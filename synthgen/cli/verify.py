@@ -14,6 +14,7 @@ from synthgen.cli.output import DONE, FAILED, Result, columns
 if TYPE_CHECKING:
     from synthgen.verify.report import Failure
     from synthgen.verify.roundtrip import RoundTrip
+    from synthgen.verify.self_test import Cell
 
 SHOWN = 20
 
@@ -54,7 +55,14 @@ def verify(
     hidden = len(found.failures) - len(lines)
     lines += [f"... and {hidden} more (--report FILE holds all)"] if hidden > 0 else []
     verdict = "ok" if found.ok else f"{len(found.failures)} failures"
+    if found.never_judged:
+        verdict += f", but nothing is known of {', '.join(found.never_judged)}"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
+    lines += [
+        f"not judged: {check}, {times} times of {times + found.judged[check]}: {reason}"
+        for check, reasons in found.reasons().items()
+        for reason, times in reasons.items()
+    ]
     lines += [f"{n} views store no {column}: only their other labels were checked"
               for column, n in sorted(found.lacking.items())]  # fmt: skip
     good = found.ok
@@ -109,8 +117,7 @@ def _self_test(directory: Path, samples: int | None, report: Path | None) -> Res
     _save(report, payload)
     by_fault: dict[str, list[str]] = {}
     for cell in found.cells:
-        word = f"{cell.caught}/{cell.of} {cell.check}" if cell.of else "not observable"
-        by_fault.setdefault(cell.fault, []).append(word.strip())
+        by_fault.setdefault(cell.fault, []).append(_word(cell))
     lines = columns([["fault", *PRODUCTS], *([name, *words] for name, words in by_fault.items())])
     reasons: dict[str, list[str]] = {}
     for cell in found.cells:
@@ -118,6 +125,12 @@ def _self_test(directory: Path, samples: int | None, report: Path | None) -> Res
             reasons.setdefault(f"{cell.product}: {cell.reason}", []).append(cell.fault)
     lines += ["", "not observable:"]
     lines += [f"  {reason}: {', '.join(faults)}" for reason, faults in reasons.items()]
+    lines += [
+        f"  {cell.product}, {n} of {n + cell.of} samples: {why}: {cell.fault}"
+        for cell in found.cells
+        if cell.of
+        for why, n in cell.unjudged.items()
+    ]
     used = sorted({cell.check for cell in found.cells if cell.check})
     lines += ["", "independent witnesses:", *(f"  {c}: {WITNESSES.get(c, '')}" for c in used), ""]
     alarms = found.false_alarms
@@ -126,6 +139,15 @@ def _self_test(directory: Path, samples: int | None, report: Path | None) -> Res
     lines += [f"MISSED: {c.fault} / {c.product}, samples {', '.join(map(str, c.missed))}"
               for c in found.cells if not c.ok]  # fmt: skip
     return Result(payload, lines, DONE if found.ok else FAILED)
+
+
+def _word(cell: Cell) -> str:
+    """One cell in words."""
+    if not cell.of:
+        return "not observable"
+    unjudged = sum(cell.unjudged.values())
+    beside = f" ({unjudged} not judged)" if unjudged else ""
+    return f"{cell.caught}/{cell.of} {cell.check}{beside}".replace("  ", " ")
 
 
 def _save(report: Path | None, payload: dict[str, Any]) -> None:

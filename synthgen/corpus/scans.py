@@ -102,7 +102,7 @@ def read_scan(key: str, fetch: Fetch) -> Scan | None:
         return None
     vertices, faces = read_ply(data, f"{key}.scan.ply")
     facts = json.loads(fetch("scan", f"{key}.scan.json"))
-    uv = _array(fetch("scan", f"{key}.corner_uv.npy"), f"{key}.corner_uv.npy")
+    uv = read_npy(fetch("scan", f"{key}.corner_uv.npy"), f"{key}.corner_uv.npy")
     return Scan(
         vertices=np.stack([vertices.pop(k) for k in "xyz"], axis=1),
         normals=np.stack([vertices.pop(k) for k in ("nx", "ny", "nz")], axis=1),
@@ -134,7 +134,7 @@ def _unit(key: str, ident: str, fetch: Fetch) -> UnitScan | None:
         return None
     left, right, view = (_camera(facts[k]) for k in ("left", "right", "rectified"))
     try:
-        true = _array(fetch("stereo", f"{name}.true.npy"), f"{name}.true.npy")
+        true = read_npy(fetch("stereo", f"{name}.true.npy"), f"{name}.true.npy")
     except KeyError:
         true = None
     pictures = [decode_image(fetch("stereo", f"{name}.{k}.png"), name) for k in ("left", "right")]
@@ -143,7 +143,7 @@ def _unit(key: str, ident: str, fetch: Fetch) -> UnitScan | None:
         pair=Rectified(left, right, view, facts["cx_right"], facts["baseline_m"]),
         left=pictures[0],
         right=pictures[1],
-        disparity=_array(fetch("stereo", f"{name}.disparity.npy"), f"{name}.disparity.npy"),
+        disparity=read_npy(fetch("stereo", f"{name}.disparity.npy"), f"{name}.disparity.npy"),
         step=facts["step"],
         true_disparity=true,
         problem=facts["problem"],
@@ -163,7 +163,8 @@ def npy(values: NDArray[Any]) -> bytes:
     return stream.getvalue()
 
 
-def _array(data: bytes, what: str) -> NDArray[Any]:
+def read_npy(data: bytes, what: str) -> NDArray[Any]:
+    """Decode what :func:`npy` encodes; ``what`` is its name in the error."""
     try:
         return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
     except (ValueError, OSError, EOFError) as error:

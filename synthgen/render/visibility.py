@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.cameras import Camera, project, to_camera
 from synthgen.models.joints import OPENPOSE21_JOINT
-from synthgen.render.labels import Hits, trace
+from synthgen.render.labels import NOTHING, Hits, trace
 from synthgen.render.upload import LiveScene
 
 Array = NDArray[np.float64]
 OUT, OCCLUDED, VISIBLE = 0, 1, 2
 # Flesh in front of a joint, over the typical radius there; and the tolerance at a fingertip.
-_FLESH, _TIP_M = 2.2, 0.004
+_FLESH, _TIP_M, _BEHIND_M = 2.2, 0.004, 1e-3
 _TIPS = (4, 8, 12, 16, 20)
 
 
@@ -66,7 +66,11 @@ def label_hand(live: LiveScene, subject: int, keypoints: Array, camera: Camera) 
 
 
 def _own_flesh(live: LiveScene, subject: int, hits: Hits, away: Array) -> NDArray[np.bool_]:
-    """Tell per keypoint whether its ray ends in the skin around it."""
+    """Tell per keypoint whether its ray ends in the skin around it.
+
+    A fingertip is a vertex of that skin: rays aimed at one may slip between its triangles, and then
+    end behind it, or nowhere, with nothing before it.
+    """
     model, drawn = live.models[subject], live.drawn[subject]
     joints = np.array(OPENPOSE21_JOINT)
     depth = away - hits.distance_m
@@ -78,7 +82,9 @@ def _own_flesh(live: LiveScene, subject: int, hits: Hits, away: Array) -> NDArra
     part = drawn.part(face, inside).astype(np.int64)
     related = np.array([_related(int(p), int(j), model.parents) for p, j in zip(part, joints,
                         strict=True)])  # fmt: skip
-    return np.asarray(own & related & (depth <= limit) & (depth >= -1e-3))
+    slipped = np.isin(np.arange(len(joints)), _TIPS)
+    slipped &= (hits.solid == NOTHING) | (depth < -_BEHIND_M)
+    return np.asarray(own & related & (depth <= limit) & (depth >= -_BEHIND_M) | slipped)
 
 
 def _related(part: int, joint: int, parents: NDArray[np.int64]) -> bool:

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.corpus import Corpus, manifest, shards
-from synthgen.corpus.columns import Members, depth_steps, key_of, png
-from synthgen.corpus.plan import ENGINE, PLAN
+from synthgen.corpus.columns import Members, decode_image, depth_steps, key_of, png
+from synthgen.corpus.plan import CONFIG, ENGINE, PLAN
 from synthgen.corpus.sample import View
-from synthgen.corpus.scans import npy
+from synthgen.corpus.scans import npy, read_npy
 from synthgen.scanner import Scan
 from synthgen.scanner.files import ply_bytes
 
@@ -56,6 +56,11 @@ STORED: dict[str, tuple[str, str, Callable[[NDArray[Any]], bytes]]] = {
     "normals": ("labels", "normals.png", _normals),
     "uv": ("labels", "uv.png", _uv),
 }
+
+
+# Array of a unit's pair: its member.
+UNIT_ARRAYS = {"left.png": "left.png", "right.png": "right.png", "disparity": "disparity.npy",
+               "true": "true.npy"}  # fmt: skip
 
 
 class ViewDraft:
@@ -98,8 +103,49 @@ class ViewDraft:
         return found
 
 
+class UnitDraft:
+    """One unit's rectified pair: its arrays, and by their names the facts about it.
+
+    Arrays are those of :data:`UNIT_ARRAYS`; ``facts`` are the member ``KEY.UNIT.json``.
+    """
+
+    def __init__(self, name: str, members: Members) -> None:
+        self._name = name
+        self._stored: dict[str, Any] = json.loads(members[f"{name}.json"])
+        self.facts = copy.deepcopy(self._stored)
+        self._arrays = {
+            array: _decoded(members[f"{name}.{member}"], member)
+            for array, member in UNIT_ARRAYS.items()
+        }
+        self._changed: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        return self._arrays[name] if name in UNIT_ARRAYS else self.facts[name]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        if name not in UNIT_ARRAYS:
+            self.facts[name] = value
+        elif not np.array_equal(value, self._arrays[name], equal_nan=True):
+            self._arrays[name] = value
+            self._changed.add(name)
+
+    def members(self) -> Members:
+        """Encode what was changed."""
+        found: Members = {}
+        for name in sorted(self._changed):
+            encode = png if name.endswith(".png") else npy
+            found[f"{self._name}.{UNIT_ARRAYS[name]}"] = encode(self._arrays[name])
+        if self.facts != self._stored:
+            found[f"{self._name}.json"] = json.dumps(self.facts, allow_nan=False).encode()
+        return found
+
+
+def _decoded(data: bytes, member: str) -> NDArray[Any]:
+    return decode_image(data, member) if member.endswith(".png") else read_npy(data, member)
+
+
 class Draft:
-    """One sample: its views, and ``scan``, may be changed."""
+    """One sample: its views, its ``units`` and ``scan`` may be changed."""
 
     def __init__(self, corpus: Corpus, position: int) -> None:
         self._corpus, self._position = corpus, position
@@ -108,6 +154,7 @@ class Draft:
         self._scan: Scan | None = None
         self._stand_in: Scan | None = None
         self._foreign: dict[str, Members] = {}
+        self._units: dict[str, UnitDraft] = {}
 
     @property
     def scan(self) -> Scan | None:
@@ -129,9 +176,29 @@ class Draft:
         return self._corpus.stored(self._position)
 
     @property
+    def units(self) -> dict[str, UnitDraft]:
+        """The rectified pairs of a scan, by unit; none where the corpus stores none."""
+        members, key = self.stored.get("stereo", {}), self.views[0].meta["key"]
+        if not self._units:
+            names = [n.removesuffix(".json") for n in members if n.endswith(".json")]
+            self._units = {name.removeprefix(f"{key}."): UnitDraft(name, members) for name in names}
+        return self._units
+
+    @property
+    def T_world_from_rig(self) -> NDArray[np.float64]:
+        """Where the scanner stood (4, 4), as stored beside the scan."""
+        key = self.views[0].meta["key"]
+        return np.array(json.loads(self.stored["scan"][f"{key}.scan.json"])["T_world_from_rig"])
+
+    @property
     def changed(self) -> bool:
         """Whether anything differs from what was stored."""
-        return bool(self._foreign) or self._scan is not None or any(v.changed for v in self.views)
+        return (
+            bool(self._foreign)
+            or self._scan is not None
+            or any(v.changed for v in self.views)
+            or any(unit.members() for unit in self._units.values())
+        )
 
     def label_as(self, other: Draft) -> None:
         """Take labels and truth of another sample under the own name; measurements stay."""
@@ -149,6 +216,7 @@ class Draft:
         """Encode some columns: stored bytes, and what was changed in their place."""
         found = {column: dict(self.stored.get(column, {})) for column in columns}
         changes = [self._foreign, *(view.members() for view in self.views)]
+        changes += [{"stereo": unit.members()} for unit in self._units.values()]
         key, scan = self.views[0].meta["key"], self._scan
         if self._stand_in is not None:
             scan = self._stand_in if scan is None else scan
@@ -177,7 +245,8 @@ def write_drafts(
 ) -> None:
     """Store drafts as a corpus with these columns, one shard, at an empty folder."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / ENGINE).write_bytes((corpus.path / ENGINE).read_bytes())
+    for name in (ENGINE, CONFIG):
+        (out / name).write_bytes((corpus.path / name).read_bytes())
     rows = [json.dumps(draft.views[0].meta["spec"]) for draft in drafts]
     (out / PLAN).write_text("".join(row + "\n" for row in rows), encoding="utf-8")
     for folder in (shards.SIDECARS, *columns):

@@ -32,14 +32,18 @@ class Fault:
     change : callable
         Puts it into a sample's draft; the second draft is the next sample's.
     needs : str
-        The column in which it shows: "meta", "image", "labels", "depth" or "scan".
+        The column in which it shows: "meta", "image", "labels", "depth", "scan" or "stereo".
     absent : str
         Where it changes nothing: what the corpus would have to contain.
+    witness : str
+        The one check that shows it, if it is one: where that check cannot judge a sample, the
+        fault is not observable there.
     """
 
     change: Callable[[Draft, Draft], None]
     needs: str = "meta"
     absent: str = "it changes nothing in this corpus"
+    witness: str = ""
 
 
 def _views(change: Callable[[ViewDraft], None]) -> Callable[[Draft, Draft], None]:
@@ -224,7 +228,9 @@ FAULTS: dict[str, Fault] = {
     "pose not the one rendered": Fault(_pose(lambda pose, s: 0.8 * pose)),
     "stale mesh after a pose change": Fault(_pose(_bend_index)),
     "turned about the origin": Fault(_truth(_about_origin)),
-    "label of the next sample": Fault(lambda draft, following: draft.label_as(following)),
+    "label of the next sample": Fault(
+        lambda draft, following: draft.label_as(following), witness="stale image"
+    ),
     "keypoints half a pixel off": Fault(
         _hands(lambda h: h.update(keypoints_2d=(np.array(h["keypoints_2d"]) + 0.5).tolist()))
     ),
@@ -236,7 +242,9 @@ FAULTS: dict[str, Fault] = {
     "OpenGL axes": Fault(_keypoints(lambda points: points * _GL)),
     "another fingertip vertex": Fault(_keypoints(_other_tip)),
     "all keypoints out of frame": Fault(_hands(lambda h: h.update(keypoints_state=[0] * 21))),
-    "hidden keypoints called visible": Fault(_hands(_all_visible), absent="no keypoint is hidden"),
+    "hidden keypoints called visible": Fault(
+        _hands(_all_visible), absent="no keypoint is hidden", witness="visible"
+    ),
     "principal point half a pixel off": Fault(_views(_half_pixel_K)),
     "intrinsics from before a crop": Fault(_views(_crop), "labels"),
     "distortion forgotten": Fault(
@@ -253,19 +261,23 @@ FAULTS: dict[str, Fault] = {
     ),
     "labels mirrored": Fault(_views(_labels_mirrored), "labels"),
     "mirrored image, labels not": Fault(
-        _array("image", lambda view: view["image"][:, ::-1]), "image"
+        _array("image", lambda view: view["image"][:, ::-1]), "image", witness="mirrored image"
     ),
-    "BGR picture": Fault(_array("image", lambda view: view["image"][..., ::-1]), "image"),
+    "BGR picture": Fault(
+        _array("image", lambda view: view["image"][..., ::-1]), "image", witness="skin hue"
+    ),
     # of a film with a half-pixel offset, or of another frame
     "ids shifted by a pixel": Fault(
         _array("instance_id", lambda view: np.roll(view["instance_id"], 1, axis=1)), "labels"
     ),
-    "parts of two fingers swapped": Fault(_array("part_id", _fingers_relabelled), "labels"),
+    "parts of two fingers swapped": Fault(
+        _array("part_id", _fingers_relabelled), "labels", witness="parts"
+    ),
     "normals away from the camera": Fault(
-        _array("normals", lambda view: -view["normals"]), "labels"
+        _array("normals", lambda view: -view["normals"]), "labels", witness="normals"
     ),
     "texture upside down": Fault(
-        _array("uv", lambda view: view["uv"] * [1, -1] + [0, 1]), "labels"
+        _array("uv", lambda view: view["uv"] * [1, -1] + [0, 1]), "labels", witness="uv"
     ),
     # as compositing does
     "objects left out of the ids": Fault(

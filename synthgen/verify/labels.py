@@ -9,8 +9,10 @@ from rich.progress import Progress
 
 from synthgen.corpus import Corpus, open_corpus, shards
 from synthgen.errors import IntegrityError, SynthgenError
+from synthgen.scanner import Rig
 from synthgen.verify.checks import check_view
 from synthgen.verify.report import Failure, VerifyReport
+from synthgen.verify.stereo import check_stereo, rig_of
 
 
 def verify(path: str | Path, samples: int | None = None, *, progress: bool = False) -> VerifyReport:
@@ -42,21 +44,23 @@ def verify(path: str | Path, samples: int | None = None, *, progress: bool = Fal
             shards.check_hashes(corpus.path, shard)
         except IntegrityError as error:
             report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, str(error)))
+    rig = rig_of(corpus)
     chosen = _spread(len(corpus), samples)
     console = Console(stderr=True)
     with Progress(console=console, disable=not (progress and console.is_terminal)) as bar:
         for position in bar.track(chosen, description="verifying"):
-            _one(report, corpus, position)
+            _one(report, corpus, position, rig)
     report.samples = len(chosen)
     return report
 
 
-def _one(report: VerifyReport, corpus: Corpus, position: int) -> None:
+def _one(report: VerifyReport, corpus: Corpus, position: int, rig: Rig | str) -> None:
     try:
         sample = corpus[position]
         for view in sample.views:
             check_view(report, sample, view)
             report.views += 1
+        check_stereo(report, rig, sample)
     except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
         message = f"{type(error).__name__}: {error}"
         number = corpus.index_of(position)

@@ -16,6 +16,7 @@ from scipy import ndimage
 from synthgen.corpus.sample import Sample, View
 from synthgen.models.joints import PART_FOREARM
 from synthgen.verify.redraw import Redrawn
+from synthgen.verify.report import Record
 
 Array = NDArray[np.float64]
 
@@ -27,24 +28,38 @@ SKY_HUE = 0.6
 STANDS_OUT, SHADING, FITS = 0.6, 1.5, 0.68
 AROUND_PX = (8, 16, 24)
 BESIDE_PX, WINDOW_PX = (6, 12), 31
-RIM_PX, STRETCH_PX, FEWEST_PX = 30, 25, 100
+RIM_PX, STRETCH_PX, FEWEST_PX, FEWEST_SKIN = 30, 25, 100, 50
 
 
-def check_image(measure: Any, sample: Sample, view: View, again: Redrawn) -> None:
+def check_image(record: Record, sample: Sample, view: View, again: Redrawn) -> None:
     """Check that the picture shows this scene: skin is red over blue, edges where labels have."""
     skin = (view.part_id > 0) & (view.part_id <= PART_FOREARM)
-    if skin.sum() < 50:
+    if skin.sum() < FEWEST_SKIN:
+        for check in ("skin hue", "stale image", "mirrored image"):
+            record.skip(check, f"fewer than {FEWEST_SKIN} pixels show skin")
         return
     mean = view.image[skin].astype(np.float64).mean(axis=0)
     if _redness(sample) > 1.1:
-        measure("skin hue", mean[2] - mean[0], 0.0, "skin is bluer than red; channels swapped?")
+        record.measure("skin hue", mean[2] - mean[0], 0.0,
+                       "skin is bluer than red; channels swapped?")  # fmt: skip
+    else:
+        record.skip("skin hue", "the light may be bluer than skin is red")
     depth = view.depth_z_m if "depth" in view.columns else again.depth_z_m
     edges = outline(view.instance_id.astype(np.int64), depth)
     found, gain = found_share(view.image, edges), shading_gain(view)
-    message = f"{100 * found:.0f} % of the labels' edges are there, shading explains {gain:+.2f}"
-    measure("stale image", -(found + SHADING * gain), -FITS, f"not this picture: {message}")
+    if found is None:
+        record.skip("stale image", f"fewer than {FEWEST_PX} pixels of outline lie {RIM_PX} px "
+                    "inside the picture")  # fmt: skip
+    else:
+        seen = f"{100 * found:.0f} % of the labels' edges are there, shading explains {gain:+.2f}"
+        record.measure("stale image", -(found + SHADING * gain), -FITS,
+                       f"not this picture: {seen}")  # fmt: skip
     mirrored = _mirrored_gain(view.image, edges)
-    measure("mirrored image", mirrored, 1.0, "edges follow the mirrored labels, not the labels")
+    if mirrored is None:
+        record.skip("mirrored image", "the labels have no outline in the picture")
+    else:
+        record.measure("mirrored image", mirrored, 1.0,
+                       "edges follow the mirrored labels, not the labels")  # fmt: skip
 
 
 def _redness(sample: Sample) -> float:
@@ -75,8 +90,8 @@ def outline(instance: NDArray[np.int64], depth_z_m: NDArray[Any]) -> NDArray[np.
     return edge
 
 
-def found_share(image: NDArray[np.uint8], edges: NDArray[np.bool_]) -> float:
-    """Share of an outline (H, W) that is there in a picture (H, W, 3).
+def found_share(image: NDArray[np.uint8], edges: NDArray[np.bool_]) -> float | None:
+    """Share of an outline (H, W) that is there in a picture (H, W, 3); None: too little to tell.
 
     At each edge pixel the change of colour across the edge is compared with that in the same
     direction at 24 places 8 to 24 px away: 0.5 of them are less by chance, whatever the contrast.
@@ -86,7 +101,7 @@ def found_share(image: NDArray[np.uint8], edges: NDArray[np.bool_]) -> float:
     size = np.array(edges.shape)
     at = at[np.all((at >= RIM_PX) & (at < size - RIM_PX), axis=1)]
     if len(at) < FEWEST_PX:
-        return 1.0  # too little to tell
+        return None
     down, right = _across(edges)[:, at[:, 0], at[:, 1]]
     slope = _slopes(image)
 
@@ -157,20 +172,21 @@ def shading_gain(view: View) -> float:
     return explained(0, 0) - float(np.mean(beside))
 
 
-def _mirrored_gain(image: NDArray[np.uint8], edges: NDArray[np.bool_]) -> float:
+def _mirrored_gain(image: NDArray[np.uint8], edges: NDArray[np.bool_]) -> float | None:
     """Image contrast across the labels' edges mirrored over that across the edges."""
     grey = image.astype(np.float64) @ [0.299, 0.587, 0.114]
     grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
     at = np.argwhere(edges)
     flipped = np.stack([at[:, 0], grey.shape[1] - at[:, 1]], axis=1)
-    return _contrast(grey, flipped) / max(_contrast(grey, at), 1e-6)
+    here, there = _contrast(grey, at), _contrast(grey, flipped)
+    return None if here is None or there is None else there / max(here, 1e-6)
 
 
-def _contrast(grey: Array, where: NDArray[np.int64]) -> float:
+def _contrast(grey: Array, where: NDArray[np.int64]) -> float | None:
     size = np.array(grey.shape)
     inside = where[np.all((where >= 3) & (where < size - 3), axis=1)]
     if len(inside) == 0:
-        return 0.0
+        return None
     r, c = inside.T
     step = np.abs(grey[r + 2, c] - grey[r - 3, c]) + np.abs(grey[r, c + 2] - grey[r, c - 3])
     return float(step.mean())

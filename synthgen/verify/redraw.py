@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.corpus.sample import Sample, Subject, View
 from synthgen.geometry.cameras import Camera
-from synthgen.geometry.raster import rasterise, split
+from synthgen.geometry.raster import pierce, rasterise, split
 from synthgen.models import pose_surface
 from synthgen.scene.instances import objects_of
 from synthgen.scene.relief import relief_of
@@ -19,6 +22,7 @@ from synthgen.scene.wear import dress
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+Draw = Callable[..., tuple[Any, Any, Any]]
 
 # With distortion, triangles are split until they are this small; a table needs nine rounds.
 SMALL_PX, MOST_SPLITS = 10.0, 10
@@ -26,7 +30,7 @@ SMALL_PX, MOST_SPLITS = 10.0, 10
 
 @dataclass(frozen=True, eq=False)
 class Redrawn:
-    """Subjects and things of a view, (H, W, ...).
+    """Subjects and things of a view, (H, W, ...), or on single rays, (n, ...).
 
     ``face`` is -1 off hands; walls and lamps are not drawn.
     """
@@ -41,21 +45,50 @@ def redraw(sample: Sample, view: View) -> Redrawn:
     """Draw every hand, what is worn and every thing of a view with the z-buffer."""
     camera = sample.spec.scene.cameras[view.meta["view"]]
     shape = (camera.height, camera.width)
-    instance, face = np.zeros(shape, np.int64), np.full(shape, -1, np.int64)
-    barycentric, depth = np.zeros((*shape, 3)), np.full(shape, np.inf)
+    return _nearest(layers(sample, camera), partial(rasterise, camera=camera), shape)
+
+
+def pierced(layered: Sequence[Layer], camera: Camera, pixels: Array) -> Redrawn:
+    """Find what lies on the rays through points (n, 2) of a picture; arrays are (n, ...)."""
+    return _nearest(layered, partial(pierce, camera=camera, pixels=pixels), (len(pixels),))
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One mesh before a camera: its instance, and of a hand the surface that was refined.
+
+    ``front`` are the rows of the surface's refined faces that ``faces`` holds.
+    """
+
+    instance: int
+    vertices: Array
+    faces: Ids
+    drawn: DrawnSurface | None = None
+    front: Ids | None = None
+
+
+def layers(sample: Sample, camera: Camera) -> list[Layer]:
+    """Return every mesh of a sample: hands, what is worn, things; not walls and lamps."""
+    found = []
     for number, subject in enumerate(sample.subjects, start=1):
         drawn = DrawnSurface.for_model(subject.loaded)
         vertices = drawn.refine(*_surface(subject))
         front = _front_faces(vertices, drawn.refined_faces, camera)
-        prim, weights, z = rasterise(vertices, drawn.refined_faces[front], camera)
+        found.append(Layer(number, vertices, drawn.refined_faces[front], drawn, front))
+    return found + [Layer(n, *_small_faces(mesh, camera)) for n, mesh in _others(sample)]
+
+
+def _nearest(layered: Sequence[Layer], draw: Draw, shape: tuple[int, ...]) -> Redrawn:
+    instance, face = np.zeros(shape, np.int64), np.full(shape, -1, np.int64)
+    barycentric, depth = np.zeros((*shape, 3)), np.full(shape, np.inf)
+    for layer in layered:
+        prim, weights, z = draw(layer.vertices, layer.faces)
         nearer = (prim >= 0) & (z < depth)
-        instance[nearer], depth[nearer] = number, z[nearer]
-        face[nearer], barycentric[nearer] = drawn.parent(front[prim[nearer]], weights[nearer])
-    for number, mesh in _others(sample):
-        prim, _, z = rasterise(*_small_faces(mesh, camera), camera)
-        nearer = (prim >= 0) & (z < depth)
-        instance[nearer], depth[nearer], face[nearer] = number, z[nearer], -1
+        instance[nearer], depth[nearer], face[nearer] = layer.instance, z[nearer], -1
         barycentric[nearer] = 0
+        if layer.drawn is not None and layer.front is not None:
+            own = layer.front[prim[nearer]]
+            face[nearer], barycentric[nearer] = layer.drawn.parent(own, weights[nearer])
     return Redrawn(instance, face, barycentric, np.where(np.isfinite(depth), depth, 0))
 
 

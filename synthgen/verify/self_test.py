@@ -12,6 +12,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,16 @@ from synthgen.verify.faults import FAULTS, Fault
 from synthgen.verify.labels import verify
 from synthgen.verify.roundtrip import round_trip
 from synthgen.verify.stand_in import scanned
+from synthgen.verify.stereo_faults import STEREO_FAULTS
 
 PRODUCTS: dict[str, tuple[str, ...]] = {
     "RGB": ("image", "labels", "meta"),
     "RGB-D": ("image", "depth", "labels", "meta"),
     "scan": ("meta", "scan"),
 }
+# Stored with a product where the corpus has it: rectified pairs come with scanners only.
+BESIDE = {"scan": "stereo"}
+ALL_FAULTS = {**FAULTS, **STEREO_FAULTS}
 ROUND_TRIP = "round trip"
 # Who says so, if generator and checker share a mistake. Of code that both use (models, cameras) the
 # tests have further ones: kornia for depth, normals and projection, smplx, mirror symmetry.
@@ -56,6 +61,17 @@ WITNESSES = {
     "skin hue": "colour of skin under the recorded light",
     "stale image": "edges and shading of the picture",
     "mirrored image": "edges of the picture",
+    "stereo units": "the scan's own report",
+    "stereo cameras": "the rig's file and the scanner's seed",
+    "stereo rows": "plain matrix products",
+    "Q": "plain matrix products",
+    "true disparity": "true surface through the true cameras, with OpenCV's lens model",
+    "disparity grid": "slopes of the true surface",
+    "disparity": "the true disparity",
+    "disparity offset": "the true disparity",
+    "stereo pictures": "correlation of the pictures",
+    "stereo picture shift": "correlation of the pictures",
+    "scan from pairs": "the scan",
     ROUND_TRIP: "registration from the stored points alone",
     "readable": "the decoder",
 }
@@ -64,6 +80,7 @@ LACKING = {
     "labels": "a scan has no label images",
     "depth": "no depth is stored",
     "scan": "no scan is stored",
+    "stereo": "no rectified pairs are stored",
 }
 LOOKED_AT = 40  # samples in which a fault that needs something rare is looked for
 
@@ -82,6 +99,8 @@ class Cell:
         Numbers of the samples in which nothing caught it.
     reason : str
         Why it cannot be observed; "" where it can.
+    unjudged : dict
+        Samples, beside ``of``, in which the only check that shows it could not judge, by why.
     """
 
     fault: str
@@ -91,6 +110,7 @@ class Cell:
     checks: dict[str, int] = field(default_factory=dict)
     missed: tuple[int, ...] = ()
     reason: str = ""
+    unjudged: dict[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -101,6 +121,17 @@ class Cell:
     def check(self) -> str:
         """The check that catches it in most samples."""
         return max(self.checks, key=lambda name: self.checks[name]) if self.checks else ""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the judges say of spoilt or clean samples, by the sample's number.
+
+    ``raised``: the checks that failed; ``unjudged``: the checks that could not judge, and why.
+    """
+
+    raised: dict[int, set[str]] = field(default_factory=dict)
+    unjudged: dict[int, dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,7 +169,7 @@ def self_test(path: str | Path, samples: int = 2, clean: int | None = None) -> S
     """
     corpus = open_corpus(path)
     cells = [cell(corpus, name, fault, product, samples)
-             for name, fault in FAULTS.items() for product in PRODUCTS]  # fmt: skip
+             for name, fault in ALL_FAULTS.items() for product in PRODUCTS]  # fmt: skip
     wanted = min(len(corpus), 4 * samples if clean is None else clean)
     alarms = [alarm for product in PRODUCTS for alarm in false_alarms(corpus, product, wanted)]
     return SelfTest(tuple(cells), wanted, tuple(alarms))
@@ -146,23 +177,25 @@ def self_test(path: str | Path, samples: int = 2, clean: int | None = None) -> S
 
 def cell(corpus: Corpus, name: str, fault: Fault, product: str, samples: int) -> Cell:
     """Put one fault into so many samples of one product, where it changes anything."""
-    if fault.needs not in PRODUCTS[product]:
+    if fault.needs not in (*PRODUCTS[product], BESIDE.get(product)):
         return Cell(name, product, reason=LACKING[fault.needs])
-    if missing := _missing(corpus, product):
+    if missing := _missing(corpus, product, fault.needs):
         return Cell(name, product, reason=f"the corpus stores no {missing}")
-    spoilt: list[Draft] = []
-    for draft in _spoilt(corpus, fault, product, samples):
-        spoilt.append(draft)
-        if len(spoilt) == samples:
-            break
+    spoilt = list(islice(_spoilt(corpus, fault, product, samples), samples))
     if not spoilt:
         return Cell(name, product, reason=fault.absent)
-    found = [raised.get(draft.sample.index, set())
-             for raised in [judged(corpus, spoilt, product)] for draft in spoilt]  # fmt: skip
-    missed = tuple(d.sample.index for d, checks in zip(spoilt, found, strict=True) if not checks)
-    counted = Counter(check for checks in found for check in checks)
-    return Cell(name, product, len(spoilt) - len(missed), len(spoilt),
-                dict(counted.most_common()), missed)  # fmt: skip
+    columns = (*PRODUCTS[product], *({fault.needs} - set(PRODUCTS[product])))
+    said = judged(corpus, spoilt, product, columns)
+    numbers = [draft.sample.index for draft in spoilt]
+    silent = [number for number in numbers if not said.raised.get(number)]
+    why = {number: reason for number in silent
+           if (reason := said.unjudged.get(number, {}).get(fault.witness))}  # fmt: skip
+    missed = tuple(number for number in silent if number not in why)
+    counted = Counter(check for number in numbers for check in said.raised.get(number, ()))
+    of = len(numbers) - len(why)
+    reason = "" if of else f"{fault.witness} not judged: {next(iter(why.values()))}"
+    return Cell(name, product, of - len(missed), of, dict(counted.most_common()), missed, reason,
+                dict(Counter(why.values())))  # fmt: skip
 
 
 def _spoilt(corpus: Corpus, fault: Fault, product: str, samples: int) -> Iterator[Draft]:
@@ -179,10 +212,13 @@ def _spoilt(corpus: Corpus, fault: Fault, product: str, samples: int) -> Iterato
             yield draft
 
 
-def _missing(corpus: Corpus, product: str) -> str:
-    """Name a product's columns that the corpus lacks; a scan may come from a z-buffer."""
+def _missing(corpus: Corpus, product: str, column: str = "meta") -> str:
+    """Name the columns that a product, or a fault, needs and the corpus lacks.
+
+    A scan may come from a z-buffer.
+    """
     there = corpus[0].views[0].columns | {"scan"}
-    return ", ".join(sorted(set(PRODUCTS[product]) - there))
+    return ", ".join(sorted({*PRODUCTS[product], column} - there))
 
 
 def _complete(draft: Draft, product: str) -> None:
@@ -197,27 +233,34 @@ def false_alarms(corpus: Corpus, product: str, samples: int) -> list[str]:
         return []
     n = len(corpus)
     chosen = sorted({k * n // samples for k in range(samples)})
+    beside = {BESIDE.get(product, "meta")} & corpus[0].views[0].columns
+    columns = (*PRODUCTS[product], *(beside - set(PRODUCTS[product])))
     raised: dict[int, set[str]] = {}
     for k in range(0, len(chosen), LOOKED_AT):
         drafts = [Draft(corpus, position) for position in chosen[k : k + LOOKED_AT]]
         for draft in drafts:
             _complete(draft, product)
-        raised |= judged(corpus, drafts, product)
+        raised |= judged(corpus, drafts, product, columns).raised
     return [f"sample {index}, {product}: {', '.join(sorted(checks))}"
             for index, checks in sorted(raised.items())]  # fmt: skip
 
 
-def judged(corpus: Corpus, drafts: Sequence[Draft], product: str) -> dict[int, set[str]]:
-    """Store drafts as a corpus and verify it; the checks that failed, by the sample's number."""
-    raised: dict[int, set[str]] = {}
+def judged(
+    corpus: Corpus, drafts: Sequence[Draft], product: str, columns: Sequence[str]
+) -> Judgement:
+    """Store drafts as a corpus with these columns and verify it."""
+    said = Judgement()
     with tempfile.TemporaryDirectory(prefix="synthgen-") as folder:
         out = Path(folder) / product
-        write_drafts(corpus, drafts, PRODUCTS[product], out)
+        write_drafts(corpus, drafts, columns, out)
         with np.errstate(all="ignore"):
-            for failure in verify(out).failures:
-                raised.setdefault(failure.sample, set()).add(failure.check)
+            report = verify(out)
+            for failure in report.failures:
+                said.raised.setdefault(failure.sample, set()).add(failure.check)
+            for row in report.unjudged:
+                said.unjudged.setdefault(row.sample, {})[row.check] = row.reason
             if product != "RGB":
                 for trip in round_trip(out, "gt").trips:
                     if trip.verdict == "truth_mismatch":
-                        raised.setdefault(trip.sample, set()).add(ROUND_TRIP)
-    return raised
+                        said.raised.setdefault(trip.sample, set()).add(ROUND_TRIP)
+    return said

@@ -19,7 +19,7 @@ SETTINGS = ScanSettings(points=12_000, outliers=0.0, pixels=150)
 def scanned(sample: Sample) -> Scan:
     """Scan the first hand of a sample, as drawn, without its arm: points and normals alone."""
     rng = stream(0, "sample", sample.index, 0, "self test scan")
-    vertices, faces = _drawn(sample.subjects[0])
+    vertices, faces = drawn_hand(sample.subjects[0])
     points, normals, _ = simulate_scan(vertices, faces, SETTINGS, rng=rng)
     n = len(points)
     return Scan(
@@ -35,8 +35,8 @@ def scanned(sample: Sample) -> Scan:
     )
 
 
-def _drawn(truth: Subject) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the hand as it is drawn, without its arm."""
+def drawn_hand(truth: Subject) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices (V, 3), world, and faces of a hand as it is drawn, without its arm."""
     drawn = DrawnSurface.for_model(truth.loaded)
     s = truth.description
     surface, _ = pose_surface(

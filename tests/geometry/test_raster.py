@@ -7,7 +7,7 @@ import pytest
 
 from synthgen.errors import ShapeError
 from synthgen.geometry.cameras import camera_from_K, pixel_rays
-from synthgen.geometry.raster import rasterise, split
+from synthgen.geometry.raster import pierce, rasterise, split
 from synthgen.sampling.streams import stream
 
 K = np.array([[40.0, 0, 15.5], [0, 40.0, 11.5], [0, 0, 1]])
@@ -88,3 +88,14 @@ def test_edge_empty_and_behind() -> None:
     assert np.all(z == 0)
     with pytest.raises(ShapeError, match="behind"):
         rasterise(v - [0, 0, 2], f, camera)
+
+
+def test_reference_rays_at_pixel_centres_are_what_is_drawn() -> None:
+    v, f = soup()
+    camera = camera_from_K(K, 32, 24)
+    rows, columns = np.mgrid[:24, :32]
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    drawn, single = rasterise(v, f, camera), pierce(v, f, camera, pixels)
+    assert (drawn[0] >= 0).sum() > 100
+    for once, again in zip(drawn, single, strict=True):
+        np.testing.assert_allclose(again.reshape(once.shape), once, atol=1e-12)

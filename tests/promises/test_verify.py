@@ -16,9 +16,11 @@ from synthgen.corpus.runner import generate
 from synthgen.verify import verify
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.roundtrip import RoundTrip, round_trip
-from synthgen.verify.self_test import cell, false_alarms
+from synthgen.verify.self_test import ALL_FAULTS, cell, false_alarms
 
 CLEAN, TRIPS, SCANS, SPOILT = 200, 60, 8, 4
+# What a product may lack: a column, or units of different designs.
+HONEST = ("stored", "stores no", "a scan has no", "one design")
 WORN = [name for name, fault in FAULTS.items() if "hand_full" in fault.absent]
 
 
@@ -70,14 +72,12 @@ def test_reference_no_false_alarm(depth_path: Path, scan_path: Path, full_path: 
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("name", sorted(set(FAULTS) - set(WORN)))
+@pytest.mark.parametrize("name", sorted(set(ALL_FAULTS) - set(WORN)))
 def test_properties_defects_are_caught(depth_path: Path, scan_path: Path, name: str) -> None:
     for product, path in (("RGB", depth_path), ("RGB-D", depth_path), ("scan", scan_path)):
-        found = cell(open_corpus(path), name, FAULTS[name], product, SPOILT)
-        # a keypoint at the very rim of what hides it, in pictures this small, may be either
-        rim = 1 if name == "hidden keypoints called visible" else 0
-        assert found.reason or found.caught >= found.of - rim, found
-        assert found.of or "stored" in found.reason or "a scan has no" in found.reason, found
+        found = cell(open_corpus(path), name, ALL_FAULTS[name], product, SPOILT)
+        assert found.ok, found
+        assert found.of or any(word in found.reason for word in HONEST), found
 
 
 @pytest.mark.prove

@@ -17,7 +17,7 @@ from synthgen.verify.checks import chirality
 from synthgen.verify.draft import Draft
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.report import VerifyReport
-from synthgen.verify.self_test import cell, judged
+from synthgen.verify.self_test import PRODUCTS, cell, judged
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,8 @@ def test_properties_full_passes_and_its_defects_are_caught(full_path: Path) -> N
 def test_reference_no_fault_is_not_caught(corpus_path: Path) -> None:
     corpus = open_corpus(corpus_path)
     for product in ("RGB", "RGB-D"):
-        assert judged(corpus, [Draft(corpus, k) for k in range(4)], product) == {}
+        drafts = [Draft(corpus, k) for k in range(4)]
+        assert judged(corpus, drafts, product, PRODUCTS[product]).raised == {}
 
 
 def test_reference_chirality_of_a_plain_curled_hand() -> None:

@@ -29,13 +29,15 @@ def test_properties_own_outline_is_found_another_is_not(contrast: float) -> None
     shown = picture(disc(80), contrast, seed=1)
     own = found_share(shown, outline(disc(80), depth))
     other = found_share(shown, outline(disc(92), depth))
+    assert own is not None and other is not None
     assert own > 0.95
     assert other < 0.5
 
 
 def test_reference_nothing_shown_is_chance() -> None:
     shown = picture(disc(80), 0.0, seed=2)
-    assert found_share(shown, outline(disc(80), np.ones((SIZE, SIZE)))) < 0.45
+    found = found_share(shown, outline(disc(80), np.ones((SIZE, SIZE))))
+    assert found is not None and found < 0.45
 
 
 def test_reference_outline_has_jumps_within_a_hand() -> None:
@@ -48,4 +50,4 @@ def test_reference_outline_has_jumps_within_a_hand() -> None:
 
 def test_edge_too_little_to_tell() -> None:
     small = disc(80, radius=5)
-    assert found_share(picture(small, 0.0, seed=3), outline(small, np.ones((SIZE, SIZE)))) == 1.0
+    assert found_share(picture(small, 0.0, seed=3), outline(small, np.ones((SIZE, SIZE)))) is None

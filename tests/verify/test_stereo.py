@@ -1,0 +1,128 @@
+"""Rectified pairs: sound ones pass, and every known defect of them is caught."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synthgen.config import load_config
+from synthgen.corpus import Corpus, open_corpus
+from synthgen.corpus.runner import generate
+from synthgen.sampling import stream
+from synthgen.verify import verify
+from synthgen.verify.disparities import likeness, shift
+from synthgen.verify.draft import Draft, write_drafts
+from synthgen.verify.self_test import ALL_FAULTS, cell
+from synthgen.verify.stereo import rig_of
+from synthgen.verify.stereo_faults import STEREO_FAULTS
+
+COLUMNS = ("meta", "scan", "stereo")
+# All units of a rig of one design have the same Q.
+SAME = "Q of another unit"
+GRIDS = {"stereo rows", "Q", "true disparity", "disparity grid", "disparity", "disparity offset",
+         "stereo pictures", "stereo picture shift", "scan from pairs", "stereo cameras",
+         "stereo units"}  # fmt: skip
+
+
+# What views of 64 pixels are too small for.
+PICTURES = {"normals", "stale image"}
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
+    out = tmp_path_factory.mktemp("stereo") / "c"
+    small = ["samples=2", "scanner.rig=mini", "render.width=64", "render.height=64",
+             "render.spp=1"]  # fmt: skip
+    generate(load_config("hand_scan", small), out, progress=False)
+    return open_corpus(out)
+
+
+def raised(corpus: Corpus, draft: Draft, out: Path) -> set[str]:
+    write_drafts(corpus, [draft], COLUMNS, out)
+    return {failure.check for failure in verify(out).failures}
+
+
+def test_smoke_sound_pairs_pass_and_all_is_judged(corpus: Corpus) -> None:
+    report = verify(corpus.path)
+    assert report.ok, report.failures[:3]
+    assert GRIDS <= set(report.judged)
+    assert report.judged["Q"] == 4  # two units of two samples
+
+
+@pytest.mark.parametrize("name", sorted(set(STEREO_FAULTS) - {SAME}))
+def test_properties_every_known_defect_is_caught(corpus: Corpus, name: str, tmp_path: Path) -> None:
+    draft, following = Draft(corpus, 0), Draft(corpus, 1)
+    assert not draft.changed
+    STEREO_FAULTS[name].change(draft, following)
+    assert draft.changed
+    assert raised(corpus, draft, tmp_path / "c") & GRIDS
+
+
+def test_properties_a_defect_is_named_with_its_unit(corpus: Corpus, tmp_path: Path) -> None:
+    draft = Draft(corpus, 0)
+    draft.units["right"].facts["Q"][0][3] += 0.5
+    write_drafts(corpus, [draft], COLUMNS, tmp_path / "c")
+    (failure,) = verify(tmp_path / "c").failures
+    assert (failure.check, failure.view) == ("Q", -1)
+    assert failure.message.startswith("unit right: ")
+
+
+def test_properties_what_a_product_cannot_show_is_said(corpus: Corpus) -> None:
+    same = cell(corpus, SAME, ALL_FAULTS[SAME], "scan", 1)
+    assert same.ok and "one design" in same.reason
+    pictures = cell(corpus, "pair swapped", ALL_FAULTS["pair swapped"], "RGB-D", 1)
+    assert pictures.reason == "no rectified pairs are stored"
+
+
+def test_edge_a_lost_unit_is_missed(corpus: Corpus, tmp_path: Path) -> None:
+    draft = Draft(corpus, 0)
+    draft.stored["stereo"] = {
+        n: d for n, d in draft.stored["stereo"].items() if "_00.right." not in n
+    }
+    write_drafts(corpus, [draft], COLUMNS, tmp_path / "c")
+    (failure,) = verify(tmp_path / "c").failures
+    assert failure.check == "stereo units"
+    assert "right" in failure.message
+
+
+def test_edge_without_its_rig_a_pair_is_judged_by_the_rest(corpus: Corpus, tmp_path: Path) -> None:
+    copy = shutil.copytree(corpus.path, tmp_path / "c")
+    manifest = json.loads((copy / "MANIFEST.json").read_text())
+    (copy / "MANIFEST.json").write_text(json.dumps({**manifest, "rig_digest": "another"}))
+    assert rig_of(open_corpus(copy)) == "the rig's file has changed since it scanned"
+    report = verify(copy, samples=1)
+    assert report.ok
+    assert set(report.never_judged) - PICTURES == {"stereo cameras", "true disparity"}
+    assert report.judged["Q"] and report.judged["stereo pictures"]
+
+
+def test_edge_a_unit_that_matched_nothing_is_not_judged(corpus: Corpus, tmp_path: Path) -> None:
+    draft = Draft(corpus, 0)
+    for unit in draft.units.values():
+        unit["disparity"] = np.full_like(unit["disparity"], np.nan)
+    write_drafts(corpus, [draft], COLUMNS, tmp_path / "c")
+    report = verify(tmp_path / "c")
+    assert report.ok
+    assert report.reasons()["disparity"] == {"the unit matched too little": 2}
+
+
+def test_reference_shift_of_a_curved_grid() -> None:
+    rng = stream(0, "corpus", 0, 0, "slopes")
+    slope = rng.normal(0, 0.4, (500, 2))
+    off = 0.1 + slope @ [0.5, -0.25] + rng.normal(0, 0.02, 500)
+    assert shift(off, slope) == pytest.approx([0.1, 0.5, -0.25], abs=0.01)
+
+
+def test_reference_likeness_is_largest_at_the_disparity() -> None:
+    rng = stream(0, "corpus", 0, 0, "speckle")
+    wide = rng.integers(0, 255, (60, 90)).astype(np.uint8)
+    left, right = wide[:, :80], wide[:, 4:84]  # x_right = x_left - 4
+    grid = np.full((60, 80), 4.0, np.float32)
+    scores = [likeness(left, right, grid, 1, turn) or 0 for turn in (-1.0, 0.0, 1.0)]
+    assert scores[1] > 0.99
+    assert max(scores[0], scores[2]) < 0.5
+    assert likeness(left, right, np.full_like(grid, np.nan), 1, 0.0) is None
