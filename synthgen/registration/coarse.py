@@ -220,7 +220,7 @@ def _nearest_both_ways(own: Any, scan: Any, vertex: Any, point: Any) -> None:
     which = np.empty(n_vertices, np.int32)
     for s in range(own.shape[0]):
         a, b, c, d, e, f = own[s, 0], own[s, 1], own[s, 2], own[s, 3], own[s, 4], own[s, 5]
-        best[:] = far
+        best[:], which[:] = far, 0
         for n in range(scan.shape[0]):
             point_n, p = np.int32(n), scan[n]
             p0, p1, p2, p3, p4, p5 = p[0], p[1], p[2], p[3], p[4], p[5]

@@ -164,7 +164,7 @@ def connected(points: Array, link_m: float) -> NDArray[np.int64]:
 @njit(cache=True, error_model="numpy")
 def _flood(points: Any, squared: float, label: Any) -> None:
     n = len(points)
-    order = np.arange(n)  # reached, then still to be left from, then not reached
+    order = np.arange(n)  # those reached come first
     reached, number = 0, 0
     for k in range(n):
         if k == reached:

@@ -147,9 +147,9 @@ def stage_terms(
     points, normals = scan.points[: stage.points], scan.normals[: stage.points]
     weight = stage.n_eff * len(points) / stage.points / stage.noise_m**2
     rho = GemanMcClure(stage.sigma_m)
-    memory: dict[str, NDArray[np.int64]] | None = {} if begin is None else {"corner": begin}
-    if stage.points < WALK_POINTS:
-        memory = None
+    memory: dict[str, NDArray[np.int64]] | None = None
+    if stage.points >= WALK_POINTS:
+        memory = {} if begin is None else {"corner": begin}
     terms: list[Term] = [
         ScanToMesh(
             points,
