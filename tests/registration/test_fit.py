@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import synthgen
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import mirror_model
 from synthgen.registration import REASONS, Fit, fit, fit_many
-from synthgen.registration.simulated import ScanSettings, simulate_scan
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
 from tests.registration.hands import error_mm, model, perturbed, rng, scan, scanned, surface, truth
 
 FLIP = np.array([-1.0, 1.0, 1.0])
@@ -140,12 +141,27 @@ def test_properties_a_hidden_finger_is_unobserved() -> None:
     points, normals = scanned()
     part = model().weights.argmax(axis=1)
     finger = surface().at(truth()).vertices[(part >= 1) & (part <= 3)]
-    from scipy.spatial import cKDTree
-
     far: Any = cKDTree(finger).query(points)[0]
     found = fit(points[far > 0.004], normals[far > 0.004], model(), "cold", "right")
     assert found.verdict == "unobserved", found.reason
     assert "index" in found.reason
+
+
+@pytest.mark.parametrize(("first", "finger"), [(1, "index"), (13, "thumb"), (14, "thumb")])
+def test_properties_a_hidden_finger_of_a_bumpy_hand_is_unobserved(first: int, finger: str) -> None:
+    """Detail that no model has makes everything uncertain, but no missing finger a seen one."""
+    number = 5 if finger == "index" else 7
+    vertices = surface().at(truth(number)).vertices
+    bumpy = with_detail(vertices, surface().faces, 6e-4, rng=rng("d"))
+    settings = ScanSettings(views=6, points=20_000, pixels=200)
+    points, normals, _ = simulate_scan(bumpy, surface().faces, settings, rng=rng("s"))
+    whole = fit(points, normals, model(), perturbed(number), "right")
+    assert whole.verdict == "pass"
+    part = model().weights.argmax(axis=1)
+    last = 3 * ((first + 2) // 3)
+    gone: Any = cKDTree(bumpy[(part >= first) & (part <= last)]).query(points)[0] < 0.004
+    found = fit(points[~gone], normals[~gone], model(), perturbed(number), "right")
+    assert (found.verdict, found.reason) == ("unobserved", f"hole({finger})")
 
 
 def test_properties_batches_are_single_fits() -> None:
