@@ -79,7 +79,7 @@ def test_properties_wrapping_keeps_the_hand() -> None:
 
 
 def test_reference_the_papers_weights() -> None:
-    """Annealing from lambda_a = 100 to 500: the data by lambda_a, the pose prior by 1 / lambda_a."""
+    """From lambda_a = 100 to 500: the data by lambda_a, the pose prior by its inverse."""
     stages = preset_named("paper").finish
     assert (stages[0].n_eff, stages[-1].n_eff) == (100, 500)
     assert {stage.n_eff * stage.prior for stage in stages} == {100}
