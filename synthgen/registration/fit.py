@@ -22,7 +22,7 @@ from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
 from synthgen.registration.prior import learned_prior
 from synthgen.registration.scan import Scan, checked_points, scan_of
-from synthgen.registration.schedule import pca_basis, preset_named
+from synthgen.registration.schedule import pca_basis, pca_origin, preset_named
 from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
@@ -159,7 +159,7 @@ class _Request:
             extra.append(GaussianPrior(surface.fingers, fingers, spread))
         basis = None if self.components is None else pca_basis(surface, self.components)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),
-                        preset_named(self.preset), extra, basis,
+                        preset_named(self.preset), extra, basis, pca_origin(surface),
                         curved=self.curved)  # fmt: skip
 
 

@@ -178,6 +178,15 @@ def pca_basis(surface: Surface, components: int) -> Array:
     return np.concatenate([others, hand], axis=1)
 
 
+def pca_origin(surface: Surface) -> Array:
+    """Return the vector (n,) that the directions of :func:`pca_basis` start at: the mean hand."""
+    x = np.zeros(surface.n)
+    mean = surface.model.hands_mean
+    if mean is not None:
+        x[surface.fingers] = np.asarray(mean, dtype=np.float64).ravel()
+    return x
+
+
 def run_stage(
     surface: Surface,
     scan: Scan,

@@ -48,10 +48,10 @@ class Settings:
         A right hand.
     extra : sequence of Term
         Joint limits, protocol pose, keypoints: whatever the caller adds.
-    basis : (n, p) or None
-        Directions of the finishing stages.
+    basis, origin : (n, p) and (n,), or None
+        Fits are ``origin + basis z``; None: all n directions.
     curved : float
-        See :func:`synthgen.registration.terms.closest`.
+        See :func:`synthgen.registration.correspondences.closest`.
     """
 
     model: BodyModel
@@ -61,7 +61,15 @@ class Settings:
     preset: Preset
     extra: Sequence[Term] = ()
     basis: Array | None = None
+    origin: Array | None = None
     curved: float = 0.0
+
+    def within(self, x: Array) -> Array:
+        """Return the vector (n,) nearest to x that a fit may be."""
+        if self.basis is None or self.origin is None:
+            return x
+        z = np.linalg.lstsq(self.basis, x - self.origin, rcond=None)[0]
+        return np.asarray(self.origin + self.basis @ z)
 
     def priors(self, weight: float) -> list[Term]:
         """Pose and shape priors at a weight, and the extra terms."""
@@ -182,7 +190,7 @@ class Search:
 def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
     """Run the finishing stages; give up after the first if it explains too little."""
     log: list[dict[str, Any]] = []
-    noise, inflation = None, 1.0
+    x, noise, inflation = settings.within(x), None, 1.0
     outcome: Outcome | None = None
     for k, stage in enumerate(settings.preset.finish):
         if settings.preset.own_noise and noise is not None and stage.points >= FINAL.points:
@@ -208,7 +216,7 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
             inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
     hessian, gradient = _information(settings, scan, outcome, stage)
-    pending = float(gradient @ np.linalg.solve(hessian, gradient)) / max(outcome.trial.cost, 1e-9)
+    pending = _promised(hessian, gradient, settings.basis) / max(outcome.trial.cost, 1e-9)
     found = statistics(
         outcome.trial.placed, scan, hessian, settings.curved, inflation, outcome.trial.matches[0],
         pending,
@@ -233,6 +241,13 @@ def _information(
     hessian, gradient = Energy(settings.surface, terms).normal_equations(outcome.trial)
     ridge = 1e-12 * np.trace(hessian) / len(hessian)
     return hessian + ridge * np.eye(len(hessian)), gradient
+
+
+def _promised(hessian: Array, gradient: Array, basis: Array | None) -> float:
+    """Return what one more step along the free directions promises to gain."""
+    if basis is not None:
+        hessian, gradient = basis.T @ hessian @ basis, basis.T @ gradient
+    return float(gradient @ np.linalg.solve(hessian, gradient))
 
 
 def _logged(stage: Stage, outcome: Outcome, began: float) -> dict[str, Any]:
