@@ -206,7 +206,9 @@ def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
 
 def predicted_sd(placed: Placed, hessian: Array) -> Array:
     """Predict vertex standard deviations (V,), metres, from J H^-1 J^T."""
-    root = np.linalg.cholesky(np.linalg.inv(hessian))
+    # No Cholesky root: where hardly a point is seen, rounding leaves the inverse indefinite.
+    values, vectors = np.linalg.eigh(hessian)
+    root = vectors / np.sqrt(np.maximum(values, 1e-12 * np.trace(hessian) / len(values)))
     spread = placed.jacobian.reshape(-1, len(hessian)) @ root
     return np.asarray(np.sqrt(np.sum(spread**2, axis=1).reshape(-1, 3).sum(axis=1)))
 

@@ -123,4 +123,5 @@ class HandFollower:
         terms: list[Term] = [LimitPrior(surface.pose, limits_of(self.model)), still]
         moving = np.delete(np.eye(surface.n), np.r_[surface.shape], axis=1)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),
-                        preset_named("fast"), terms, None if shape_free else moving, previous)  # fmt: skip
+                        preset_named("fast"), terms, None if shape_free else moving,
+                        previous)  # fmt: skip
