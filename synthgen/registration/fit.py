@@ -212,7 +212,7 @@ def _fit(
         found = searches[side].search.run(searches[side].vectors)
         if best is None or found.rank > best[1].rank:
             best = (side, found)
-        if found.accepted or found.early > 0.97:
+        if found.accepted:
             break
     assert best is not None
     side, chosen = best

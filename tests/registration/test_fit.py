@@ -79,6 +79,15 @@ def test_properties_unknown_side_is_found() -> None:
         np.testing.assert_allclose(posed.vertices[0], found.vertices, atol=1e-6)
 
 
+def test_properties_one_view_tells_the_side() -> None:
+    """The mirrored hand fits most of these points: it fails by two fingers only."""
+    vertices = surface().at(truth(2)).vertices
+    settings = ScanSettings(views=1, points=20_000, pixels=200)
+    points, normals, _ = simulate_scan(vertices, surface().faces, settings, rng=rng("one2"))
+    found = fit(points, normals, model())
+    assert (found.hand, found.verdict) == ("right", "unobserved")
+
+
 def test_properties_left_model_fits_left_hands() -> None:
     points, normals = scanned()
     found = fit(points * FLIP, normals * FLIP, mirror_model(model()), "cold", "left")
