@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
+from synthgen.registration.advice import advice
 from synthgen.registration.body_fit import checked_keypoints, checked_pose, fit_body
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
@@ -347,9 +348,11 @@ def _report(
          "reason": "dropped early" if c.judgement is None else c.judgement.text}
         for c in run.search.candidates
     ]  # fmt: skip
+    message = advice(judgement, found, run.side)
     return {
         "verdict": judgement.verdict,
         "reason": judgement.text,
+        **({} if message is None else {"message": message}),
         "hand": run.side,
         "model": request.model.name,
         "model_digest": request.model.digest,

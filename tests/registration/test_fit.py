@@ -99,6 +99,7 @@ def test_properties_wrong_side_is_named() -> None:
     points, normals = scanned()
     found = fit(points * FLIP, normals * FLIP, model(), "cold", "right")
     assert (found.verdict, found.reason) == ("fail", "other_hand")
+    assert "hand left" in found.report["message"]
 
 
 def test_properties_normals_may_be_missing() -> None:
