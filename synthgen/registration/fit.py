@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
+from synthgen.registration.advice import advice
 from synthgen.registration.body_fit import checked_keypoints, checked_pose, fit_body
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
@@ -22,7 +23,7 @@ from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
 from synthgen.registration.prior import learned_prior
 from synthgen.registration.scan import Scan, checked_points, scan_of
-from synthgen.registration.schedule import pca_basis, preset_named
+from synthgen.registration.schedule import pca_basis, pca_origin, preset_named
 from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
@@ -159,7 +160,7 @@ class _Request:
             extra.append(GaussianPrior(surface.fingers, fingers, spread))
         basis = None if self.components is None else pca_basis(surface, self.components)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),
-                        preset_named(self.preset), extra, basis,
+                        preset_named(self.preset), extra, basis, pca_origin(surface),
                         curved=self.curved)  # fmt: skip
 
 
@@ -212,7 +213,7 @@ def _fit(
         found = searches[side].search.run(searches[side].vectors)
         if best is None or found.rank > best[1].rank:
             best = (side, found)
-        if found.accepted or found.early > 0.97:
+        if found.accepted:
             break
     assert best is not None
     side, chosen = best
@@ -346,9 +347,11 @@ def _report(
          "reason": "dropped early" if c.judgement is None else c.judgement.text}
         for c in run.search.candidates
     ]  # fmt: skip
+    message = advice(judgement, found, run.side)
     return {
         "verdict": judgement.verdict,
         "reason": judgement.text,
+        **({} if message is None else {"message": message}),
         "hand": run.side,
         "model": request.model.name,
         "model_digest": request.model.digest,

@@ -99,7 +99,8 @@ def inspect(scan: Scan, *, check_normals: bool, expected: Expected = HAND) -> Fi
     if not expected.range_m[0] <= size <= expected.range_m[1]:
         return _wrong_size(scan.points, size, expected)
     if check_normals and bulge(scan.points, scan.normals, wide_m=expected.wide_m) < INWARD:
-        return Finding("flipped_normals", f"normals point into the {expected.noun}; pass -normals")
+        inward = f"normals point into the {expected.noun}"
+        return Finding("flipped_normals", f"{inward}; pass -normals, or turn the mesh's faces over")
     return _pieces(scan.points, expected)
 
 
@@ -107,11 +108,11 @@ def _wrong_size(points: Array, size: float, expected: Expected) -> Finding:
     noun, (smallest, largest) = expected.noun, expected.range_m
     found = [u for u in units_of(points, expected) if u != "m"]
     if found:
-        factor = UNITS[found[0]]
+        factors = " or ".join(f"{UNITS[u]:g}" for u in found)
         return Finding(
             "scale",
             f"the scan is {size:.3g} m across; in {' or '.join(found)} it would be a {noun}: "
-            f"multiply the points by {factor:g}",
+            f"multiply the points by {factors}",
         )
     piece = _pieces(points, expected)
     if piece is not None:

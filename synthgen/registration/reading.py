@@ -19,6 +19,8 @@ MESH_FORMATS, TEXT_FORMATS = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off"), 
 # Coarse meshes are sampled on their faces; those with this share of the points wanted are fine
 # enough to be taken at their vertices.
 FINE = 0.4
+# Three more numbers beside a point are a normal if they are that near to unit length; or a colour.
+UNIT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class StoredScan:
 
 
 def read_scan(path: Path, units: str = "auto", expected: Expected = HAND) -> StoredScan:
-    """Read PLY, OBJ, GLB (meshes or points) or XYZ text (x y z, optionally normals).
+    """Read PLY, OBJ, GLB (meshes or points) or XYZ text (x y z, optionally unit normals).
 
     Parameters
     ----------
@@ -100,7 +102,15 @@ def _text(path: Path) -> tuple[Array, Array | None]:
     if table.ndim != 2 or table.shape[1] < 3:
         raise ValueError(f"rows of {table.shape[-1]} numbers; expected x y z [nx ny nz]")
     normals = table[:, 3:6] if table.shape[1] == 6 else None
+    if normals is not None and not _are_unit(normals):
+        normals = None  # colours
     return table[:, :3], normals
+
+
+def _are_unit(vectors: Array) -> bool:
+    length = np.linalg.norm(vectors, axis=1)
+    known = length[np.isfinite(length) & (length > 0)]
+    return len(known) > 0 and bool((np.abs(known - 1) < UNIT).mean() > 0.9)
 
 
 def _mesh(path: Path, wanted: int) -> tuple[Array, Array | None]:

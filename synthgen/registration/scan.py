@@ -119,12 +119,27 @@ def scan_of(
     wide_m: float = WIDE_M,
     tree_points: int = TREE_POINTS,
 ) -> Scan:
-    """Shuffle points and complete normals; see :func:`estimate_normals`."""
+    """Shuffle points and complete normals; see :func:`estimate_normals`.
+
+    Raises
+    ------
+    ShapeError
+        If viewpoints are no finite (C, 3).
+    """
     order = stream(seed, "corpus", 0, 0, "scan order").permutation(len(points))
-    eyes = None if viewpoints is None else np.atleast_2d(np.asarray(viewpoints, dtype=np.float64))
+    eyes = None if viewpoints is None else _checked_viewpoints(viewpoints)
     p = points[order]
     n = estimate_normals(p, eyes, wide_m) if normals is None else normals[order]
     return Scan(p, n, eyes, tree_points)
+
+
+def _checked_viewpoints(viewpoints: Any) -> Array:
+    eyes = np.atleast_2d(np.asarray(viewpoints, dtype=np.float64))
+    if eyes.ndim != 2 or eyes.shape[1] != 3 or len(eyes) == 0:
+        raise ShapeError(f"viewpoints have shape {eyes.shape}; expected (C, 3), metres, or None")
+    if not np.isfinite(eyes).all():
+        raise ShapeError("viewpoints hold a number that is not finite; leave that sensor out")
+    return eyes
 
 
 def estimate_normals(

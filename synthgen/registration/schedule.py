@@ -48,8 +48,6 @@ class Stage:
         Vertices farther than this from the scan lie over holes.
     prior : float
         Weight of the pose prior.
-    rigid : bool
-        Only rotation, translation and size (first beta).
     """
 
     points: int
@@ -63,13 +61,8 @@ class Stage:
     mesh_to_scan: float = 0.0
     mesh_cut_m: float = 0.015
     prior: float = 1.0
-    rigid: bool = False
 
 
-RIGID = Stage(400, 15, 30 * MM, 150 * MM, -0.2, 0.5 * MM, 40, tangential=0.5, mesh_to_scan=0.3,
-              mesh_cut_m=0.08, rigid=True)  # fmt: skip
-WIDE = Stage(600, 12, 15 * MM, 80 * MM, 0.0, 0.5 * MM, 60, tangential=0.2, mesh_to_scan=0.3,
-             mesh_cut_m=0.04)  # fmt: skip
 CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
 NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
 FINAL = Stage(10_000, 8, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
@@ -82,36 +75,35 @@ class Preset:
 
     Attributes
     ----------
-    first : tuple of Stage
-        From a rough start (a known rotation).
     finish : tuple of Stage
         From a good start; the last stage takes the scan's own noise when ``own_noise``.
     method : "lm" or "dogleg"
     """
 
     name: str
-    first: tuple[Stage, ...]
     finish: tuple[Stage, ...]
     method: Method = "lm"
     own_noise: bool = True
 
 
 def _paper(lambda_a: float, stage: Stage) -> Stage:
-    """Stage of the paper: lambda_a times the mean robust squared distance in mm^2."""
-    return replace(stage, n_eff=lambda_a, noise_m=MM, mesh_to_scan=0.1, prior=1.0)
+    """Stage of the paper (Eq. 12): lambda_a times the data, the pose prior over lambda_a.
+
+    The paper leaves the terms' own weights open: here the mean robust squared distance counts in
+    units of (0.2 mm)^2, and the prior is whole at lambda_a = 100.
+    """
+    return replace(stage, n_eff=lambda_a, noise_m=0.2 * MM, mesh_to_scan=0.1, prior=100 / lambda_a)
 
 
 PRESETS = {
-    "fast": Preset("fast", (RIGID, WIDE), (CLOSE, NEAR, FINAL, LAST)),
+    "fast": Preset("fast", (CLOSE, NEAR, FINAL, LAST)),
     "accurate": Preset(
         "accurate",
-        (RIGID, WIDE),
         (CLOSE, NEAR, FINAL, replace(LAST, points=100_000, n_eff=100_000, iterations=6)),
     ),
     "paper": Preset(
         "paper",
-        (_paper(100, RIGID), _paper(100, WIDE)),
-        (_paper(200, CLOSE), _paper(300, NEAR), _paper(500, replace(FINAL, points=5000))),
+        (_paper(100, CLOSE), _paper(300, NEAR), _paper(500, replace(FINAL, points=5000))),
         method="dogleg",
         own_noise=False,
     ),
@@ -171,13 +163,6 @@ def stage_terms(
     return [*terms, *priors]
 
 
-def rigid_basis(surface: Surface) -> Array:
-    """Directions (n, 7) of translation, rotation and the first beta."""
-    root, at = surface.root.start, surface.translation.start
-    free = [surface.shape.start, *range(root, root + 3), *range(at, at + 3)]
-    return np.eye(surface.n)[:, free]
-
-
 def pca_basis(surface: Surface, components: int) -> Array:
     """Directions of everything but the fingers, and the hand's leading principal components.
 
@@ -200,6 +185,15 @@ def pca_basis(surface: Surface, components: int) -> Array:
     return np.concatenate([others, hand], axis=1)
 
 
+def pca_origin(surface: Surface) -> Array:
+    """Return the vector (n,) that the directions of :func:`pca_basis` start at: the mean hand."""
+    x = np.zeros(surface.n)
+    mean = surface.model.hands_mean
+    if mean is not None:
+        x[surface.fingers] = np.asarray(mean, dtype=np.float64).ravel()
+    return x
+
+
 def run_stage(
     surface: Surface,
     scan: Scan,
@@ -215,8 +209,7 @@ def run_stage(
 ) -> Outcome:
     """Run one stage from x."""
     energy = Energy(surface, stage_terms(scan, stage, priors, visible, curved, begin))
-    chosen = rigid_basis(surface) if stage.rigid else basis
-    return minimise(energy, x, iterations=stage.iterations, basis=chosen, method=method)
+    return minimise(energy, x, iterations=stage.iterations, basis=basis, method=method)
 
 
 def own_noise(outcome: Outcome) -> float:

@@ -50,10 +50,10 @@ class Settings:
         A right hand.
     extra : sequence of Term
         Joint limits, protocol pose, keypoints: whatever the caller adds.
-    basis : (n, p) or None
-        Directions of the finishing stages.
+    basis, origin : (n, p) and (n,), or None
+        Fits are ``origin + basis z``; None: all n directions.
     curved : float
-        See :func:`synthgen.registration.terms.closest`.
+        See :func:`synthgen.registration.correspondences.closest`.
     """
 
     model: BodyModel
@@ -63,7 +63,15 @@ class Settings:
     preset: Preset
     extra: Sequence[Term] = ()
     basis: Array | None = None
+    origin: Array | None = None
     curved: float = 0.0
+
+    def within(self, x: Array) -> Array:
+        """Return the vector (n,) nearest to x that a fit may be."""
+        if self.basis is None or self.origin is None:
+            return x
+        z = np.linalg.lstsq(self.basis, x - self.origin, rcond=None)[0]
+        return np.asarray(self.origin + self.basis @ z)
 
     def priors(self, weight: float) -> list[Term]:
         """Pose and shape priors at a weight, and the extra terms."""
@@ -183,7 +191,7 @@ class Search:
 def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
     """Run the finishing stages; give up after the first if it explains too little."""
     log: list[dict[str, Any]] = []
-    noise, inflation = None, 1.0
+    x, noise, inflation = settings.within(x), None, 1.0
     outcome: Outcome | None = None
     for k, stage in enumerate(settings.preset.finish):
         if settings.preset.own_noise and noise is not None and stage.points >= FINAL.points:
@@ -209,7 +217,7 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
             inflation = _inflation(scan, outcome, settings.preset.finish[k + 1], noise)
     assert outcome is not None
     energy = Energy(settings.surface, stage_terms(scan, stage, settings.priors(1.0)))
-    step, pending = _pending(energy, outcome)
+    step, pending = _pending(energy, outcome, settings.basis)
     spread = covariance(energy, outcome.trial, together=inflation) + np.outer(step, step)
     found = statistics(
         outcome.trial.placed, scan, spread, settings.curved, inflation, outcome.trial.matches[0],
@@ -235,12 +243,17 @@ def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -
     return following.n_eff / found.effective(following.n_eff)
 
 
-def _pending(energy: Energy, outcome: Outcome) -> tuple[Array, float]:
-    """Return the step (n,) that is left, and the share of the energy that it promises to remove."""
+def _pending(energy: Energy, outcome: Outcome, basis: Array | None) -> tuple[Array, float]:
+    """Return the step (n,) that is left, and the share of the energy that it promises to remove.
+
+    Only along the free directions: a fit of few components does not want the others.
+    """
+    free = np.eye(energy.surface.n) if basis is None else basis
     hessian, gradient = energy.normal_equations(outcome.trial)
+    hessian, gradient = free.T @ hessian @ free, free.T @ gradient
     ridge = 1e-12 * np.trace(hessian) / len(hessian) * np.eye(len(hessian))
     step = np.linalg.solve(hessian + ridge, gradient)
-    return step, float(gradient @ step) / max(outcome.trial.cost, 1e-9)
+    return free @ step, float(gradient @ step) / max(outcome.trial.cost, 1e-9)
 
 
 def _logged(stage: Stage, outcome: Outcome, began: float) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from synthgen.registration.schedule import preset_named
 from synthgen.registration.search import Search, Settings
 from synthgen.registration.surface import Surface, surface_of
 from synthgen.registration.terms import Term, velocity_prior
-from synthgen.registration.tracked import Frame, Unseen
+from synthgen.registration.tracked import Frame, Unseen, is_lost
 from synthgen.registration.verdict import Judgement
 from synthgen.sampling.limits import limits_of
 
@@ -62,7 +62,7 @@ class HandFollower:
     def begin(self, points: Any, normals: Any, start: Any) -> Fit:
         """Fit the first frame, which tells the side."""
         found = fit(points, normals, self.model, start, self.asked, seed=self.seed)
-        if found.verdict != "fail":
+        if not is_lost(found.verdict, found.reason):
             assert found.hand is not None
             self.side = self.asked = found.hand
         return found
@@ -123,4 +123,5 @@ class HandFollower:
         terms: list[Term] = [LimitPrior(surface.pose, limits_of(self.model)), still]
         moving = np.delete(np.eye(surface.n), np.r_[surface.shape], axis=1)
         return Settings(self.model, surface, prior, coarse_model_of(self.model, prior),
-                        preset_named("fast"), terms, None if shape_free else moving)  # fmt: skip
+                        preset_named("fast"), terms, None if shape_free else moving,
+                        previous)  # fmt: skip

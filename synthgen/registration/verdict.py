@@ -36,6 +36,9 @@ MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 # whole hand is biased, the model misfits everywhere and no part stands out.
 BIASED, BIASED_RATIO = 0.05, 5.0
 SD95_M, SD_PER_NOISE = 6e-4, 1.4
+# A finger that is not there is known to 7-50 mm by what its neighbours and the prior say; whole
+# hands with 0.6 mm of unmodelled detail to 5 mm at worst (fists).
+HIDDEN_SD95_M = 6e-3
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 PENDING = 0.01  # one more step would lower the energy by a hundredth: the solver was cut short
 
@@ -70,6 +73,13 @@ def biased_parts(s: Statistics) -> tuple[str, ...]:
     return tuple(p for p, share in zip(PARTS, s.biased, strict=True) if share > limit)
 
 
+def hidden_parts(s: Statistics) -> tuple[str, ...]:
+    """Parts that the scan does not determine: beside the rest, or however coarse the rest is."""
+    limit = sd_limit_m(s.noise_m, s.inflation)
+    limit = min(limit, HIDDEN_SD95_M) if s.sd95_all_m > limit else HIDDEN_SD95_M
+    return tuple(p for p, sd in zip(PARTS, s.sd95_m, strict=True) if sd > limit)
+
+
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     """Judge one finished fit."""
     misfit = s.noise_m > MISFIT * s.local_noise_m
@@ -97,8 +107,5 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
         return Judgement("fail", "not_converged")
     if np.abs(shape).max(initial=0.0) > SHAPE_SD:
         return Judgement("fail", "shape_limit")
-    limit = sd_limit_m(s.noise_m, s.inflation)
-    if s.sd95_all_m > limit:
-        hidden = tuple(p for p, sd in zip(PARTS, s.sd95_m, strict=True) if sd > limit)
-        return Judgement("unobserved", "hole", hidden)
-    return Judgement("pass")
+    hidden = hidden_parts(s)
+    return Judgement("unobserved", "hole", hidden) if hidden else Judgement("pass")

@@ -9,8 +9,9 @@ import pytest
 import trimesh
 
 from synthgen.errors import ShapeError
+from synthgen.registration.inspection import extent
 from synthgen.registration.reading import read_scan
-from tests.registration.hands import scanned, surface, truth
+from tests.registration.hands import rng, scanned, surface, truth
 
 
 def cloud() -> np.ndarray:
@@ -46,14 +47,29 @@ def test_properties_units_are_guessed_or_said(units: str, factor: float, tmp_pat
     file = tmp_path / "cloud.xyz"
     np.savetxt(file, factor * cloud())
     found = read_scan(file)
-    if found.units:
-        assert found.units == units
-        assert "converted" in found.note
-        np.testing.assert_allclose(found.points, cloud(), atol=1e-9)
-    else:
-        assert units in found.note
+    assert found.units == units
+    assert "converted" in found.note
+    np.testing.assert_allclose(found.points, cloud(), atol=1e-9)
     given = read_scan(file, units)
     np.testing.assert_allclose(given.points, cloud(), atol=1e-9)
+
+
+def test_edge_ambiguous_units_are_not_converted(tmp_path: Path) -> None:
+    """9 across: a fist in centimetres or a long hand in inches."""
+    points = cloud() / extent(cloud()) * 9
+    np.savetxt(tmp_path / "cloud.xyz", points)
+    found = read_scan(tmp_path / "cloud.xyz")
+    assert found.units == ""
+    assert "cm or inch" in found.note
+    np.testing.assert_allclose(found.points, points)
+
+
+def test_edge_colours_are_no_normals(tmp_path: Path) -> None:
+    colours = rng("colours").integers(100, 256, cloud().shape)
+    np.savetxt(tmp_path / "cloud.xyz", np.concatenate([cloud(), colours], axis=1))
+    found = read_scan(tmp_path / "cloud.xyz")
+    assert found.normals is None
+    np.testing.assert_allclose(found.points, cloud())
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,12 @@ def test_edge_bad_points_are_dropped_and_counted() -> None:
         checked_points(points, normals[:10])
     with pytest.raises(ShapeError, match="expected \\(N, 3\\)"):
         checked_points(points.ravel(), None)
+
+
+@pytest.mark.parametrize("eyes", [[1.0, 2.0], np.zeros((0, 3)), [[0.0, np.nan, 1.0]]])
+def test_edge_viewpoints_are_checked(eyes: Any) -> None:
+    with pytest.raises(ShapeError, match="viewpoints"):
+        scan_of(*scanned(), eyes)
 
 
 def test_properties_simulated_points_lie_on_the_surface() -> None:

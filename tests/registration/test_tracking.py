@@ -22,10 +22,13 @@ from synthgen.registration.simulated import ScanSettings, simulate_scan
 from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
 from synthgen.registration.tracked import Frame, is_lost
 from synthgen.registration.tracking import Track, _Walk, track
+from synthgen.registration.tracking_hand import HandFollower
 from synthgen.registration.tracking_state import MISSED, PARTS, BodyState, presence
 from synthgen.registration.verdict import Judgement
 from synthgen.sampling.sequence import PoseSequence, SequenceSettings, sample_sequence
 from synthgen.sampling.streams import stream
+from tests.registration import hands
+from tests.registration.test_fit import swollen
 
 FRAMES, GAP = 5, (1, 3)
 EMPTY = (np.zeros((0, 3)), np.zeros((0, 3)))
@@ -287,6 +290,25 @@ def test_smoke_a_left_hand_alone() -> None:
         assert error.mean() < 0.6
         assert fit.free_vertices is not None
         assert np.linalg.norm(fit.free_vertices - fit.vertices, axis=1).mean() < 1e-3
+
+
+def test_properties_a_hand_keeps_its_shape_whatever_it_starts_from() -> None:
+    """Fingers that were begun afresh come with a shape of their own; a frozen one stays."""
+    x = hands.truth()
+    other = x.copy()
+    other[hands.surface().shape] += 0.5
+    follower = HandFollower(hands.model(), "right")
+    frame = follower.follow(hands.scan(), x, other, {"hand": 0}, shape_free=False)
+    assert frame.judgement.verdict == "pass"
+    np.testing.assert_allclose(frame.x[hands.surface().shape], x[hands.surface().shape], atol=1e-9)
+
+
+def test_properties_a_missed_finger_still_tells_the_side() -> None:
+    points, normals = (a * [-1, 1, 1] for a in swollen(0))
+    follower = HandFollower(hands.model(), None)
+    found = follower.begin(points, normals, "cold")
+    assert found.reason == "finger_missed(index)"
+    assert (found.hand, follower.side) == ("left", "left")
 
 
 def test_edge_arguments() -> None:
