@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from zipfile import BadZipFile
@@ -41,8 +42,18 @@ PresetName = Annotated[
     ),
 ]
 Units = Annotated[str, typer.Option("--units", metavar="UNIT", help="auto, m, mm, cm or inch.")]
-Sequence = Annotated[
+Tracked = Annotated[
     bool, typer.Option("--sequence", help="Scans are frames of one subject: track it.")
+]
+
+Template = Annotated[
+    str,
+    typer.Option(
+        "--template",
+        metavar="WORD",
+        help="With --sequence: track the subject's own template, yes, no or auto (where the model's"
+        " shape is not the subject's).",
+    ),
 ]
 
 
@@ -55,7 +66,8 @@ def fit(
     coupled: Coupled = False,
     preset: PresetName = "fast",
     units: Units = "auto",
-    sequence: Sequence = False,
+    sequence: Tracked = False,
+    template: Template = "auto",
     as_json: Json = False,
 ) -> Result:
     """Fit a hand or body model to scans; parameters, mesh, picture and report go to --out."""
@@ -64,8 +76,8 @@ def fit(
 
         if preset != "fast":
             raise ConfigError(f"--preset {preset} is for single scans; leave it out of --sequence")
-        return fit_sequence(scans, out, model, hand, _start(start), coupled=coupled, units=units,
-                            progress=not as_json)  # fmt: skip
+        return fit_sequence(scans, out, model, hand, _start(start), coupled=coupled,
+                            template=template, units=units, progress=not as_json)  # fmt: skip
     from synthgen.models import load
     from synthgen.registration import fit as register
     from synthgen.registration.inspection import expected_of
@@ -89,11 +101,12 @@ def fit(
     return Result(payload, [*lines, f"results in {out}"], DONE if good else FAILED)
 
 
-def _names(scans: list[Path]) -> list[str]:
-    """Name each scan's files; equal stems are numbered."""
+def _names(scans: list[Path], reserved: Sequence[str] = ()) -> list[str]:
+    """Name each scan's files; names that would meet, or be ``reserved``, are numbered."""
     stems = [path.stem for path in scans]
     names = [s if stems.count(s) == 1 else f"{s}_{k}" for k, s in enumerate(stems)]
-    return names if len(set(names)) == len(names) else [f"{s}_{k}" for k, s in enumerate(stems)]
+    taken = [*names, *(f"{name}_free" for name in names), *reserved]
+    return names if len(set(taken)) == len(taken) else [f"{s}_{k}" for k, s in enumerate(stems)]
 
 
 def spared(scans: list[Path], out: Path, names: list[str]) -> None:

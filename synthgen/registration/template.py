@@ -80,6 +80,33 @@ def unposed(model: BodyModel, frame: Aligned) -> tuple[Array, Array]:
     return rest, np.where(good, np.where(seen, 1.0, UNSEEN_WEIGHT), 1e-6)
 
 
+def subject_offset(
+    model: BodyModel, frames: Sequence[Aligned], shape: Array, share: Array | None = None
+) -> Array:
+    """Return what a subject's template adds (V, 3) to the model's, at betas that it keeps.
+
+    Parameters
+    ----------
+    model : BodyModel
+    frames : sequence of Aligned
+    shape : (nb,)
+        The subject's betas; :func:`with_offset` at these is the subject.
+    share : (V,) or None
+        How much of the offset each vertex takes, 0..1; None: all.
+    """
+    own = subject_template(model, frames).v_template
+    faces = [f.expression for f in frames if f.expression is not None]
+    offset = own - model.shaped(shape, np.mean(faces, axis=0) if faces else None)[0]
+    return np.asarray(offset if share is None else share[:, None] * offset)
+
+
+def with_offset(model: BodyModel, offset: Array) -> BodyModel:
+    """Return the model with a subject's offset (V, 3) on its template."""
+    template = model.v_template + offset
+    mark = hashlib.sha256(model.digest.encode() + template.tobytes()).hexdigest()
+    return replace(model, name=f"{model.name} (subject)", digest=mark, v_template=template)
+
+
 def subject_template(model: BodyModel, frames: Sequence[Aligned]) -> BodyModel:
     """Return the model with a subject's own template; shape zero is the subject.
 

@@ -13,6 +13,7 @@ from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
 from synthgen.registration.surface import Surface
+from synthgen.registration.template import Aligned
 from synthgen.registration.verdict import Judgement
 
 Array = NDArray[np.float64]
@@ -53,6 +54,39 @@ def is_lost(verdict: str, reason: str) -> bool:
     return verdict == "fail" and kind != "finger_missed"
 
 
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a sequence stands between two frames: all that the next one needs to know.
+
+    Attributes
+    ----------
+    x : (n,) or None
+        The last frame's parameters; None: no frame could be fitted yet.
+    motion : (n,)
+        How they moved.
+    unseen : mapping of side to int
+    betas : (nb,) or None
+        The subject's; None: not known yet.
+    freeze : bool
+        Take the betas of the first frame that can be fitted.
+    cold : bool
+        Whether the given start has been used up.
+    hand : "left", "right" or None
+        The side that was found.
+    offset : (V, 3) or None
+        Of the subject's template.
+    """
+
+    x: Array | None
+    motion: Array
+    unseen: Unseen
+    betas: Array | None
+    freeze: bool
+    cold: bool
+    hand: str | None
+    offset: Array | None
+
+
 class Follower(Protocol):
     """Fits one subject frame by frame."""
 
@@ -81,6 +115,20 @@ class Follower(Protocol):
 
     def freed(self, x: Array, scan: Scan) -> Array:
         """Return the mesh (V, 3) of the coupled stage at parameters (n,)."""
+
+    def aligned(self, fit: Fit, scan: Scan) -> Aligned:
+        """Free the mesh of a fit of ``surface`` from its model, for the subject's template."""
+
+    @property
+    def share(self) -> Array | None:
+        """How much of a template's offset each vertex takes (V,); None: all."""
+
+    @property
+    def found(self) -> str | None:
+        """Side of the hand that is followed, once it is known."""
+
+    def recall(self, hand: str | None, offset: Array | None) -> None:
+        """Follow that side, and from now on a template with an offset (V, 3)."""
 
     def hand(self, side: str) -> NDArray[np.int64]:
         """Return the parameters that are a hand's alone."""

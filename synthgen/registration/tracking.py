@@ -21,7 +21,8 @@ from synthgen.models import BodyModel
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
-from synthgen.registration.tracked import Follower, Frame, is_lost
+from synthgen.registration.template import subject_offset
+from synthgen.registration.tracked import Follower, Frame, Place, is_lost
 from synthgen.registration.tracking_body import BodyFollower
 from synthgen.registration.tracking_hand import HandFollower
 from synthgen.registration.verdict import Judgement
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 FIRST = 4
 # Faster changes are jumps of the parametrisation, not motion to go on with.
 FASTEST = 0.35
+# First frames that lie off the model by so many times their own scatter are not the model's shape.
+MISFIT, LEAST_NOISE_M = 1.3, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +47,18 @@ class Track:
     shape : (nb,)
         The subject's, in all frames.
     model : BodyModel
-        Whose parameters they are.
+        Whose parameters they are; with the subject's template, if that was tracked.
     report : dict
         JSON types.
+    offset : (V, 3) or None
+        Of the subject's template from the model's, metres; of a right hand.
     """
 
     fits: tuple[Fit, ...]
     shape: Array
     model: BodyModel
     report: dict[str, Any]
+    offset: Array | None = None
 
 
 def track(
@@ -63,9 +69,12 @@ def track(
     *,
     shape: Any = None,
     first: int = FIRST,
+    template: bool | None = None,
     coupled: bool = False,
     seed: int = 0,
     done: Callable[[int, Fit], None] | None = None,
+    paused: Callable[[Place], None] | None = None,
+    resume: Place | None = None,
 ) -> Track:
     """Fit a model to the scans of a moving subject.
 
@@ -84,12 +93,20 @@ def track(
         The subject's betas; None: estimated over the first frames.
     first : int
         How many frames that is.
+    template : bool or None
+        Track the subject's own template, from the same first frames (Eq. 20): the model's with an
+        offset, which fits carry in their ``model``. None: where these frames lie off the model by
+        more than their noise. Not with a given ``shape``.
     coupled : bool
         Also free the mesh of every frame that is followed from the model (``free_vertices``).
     seed : int
         Of the order of points.
     done : function of (int, Fit) or None
         Called after every frame.
+    paused : function of Place or None
+        Called after ``done`` with all that the next frame needs to know.
+    resume : Place or None
+        Go on from there; ``frames`` are those that are left.
 
     Raises
     ------
@@ -107,14 +124,18 @@ def track(
                           else HandFollower(model, hand, seed))  # fmt: skip
     began = time.process_time()
     with threadpool_limits(limits=1, user_api="blas"):
-        walk = (_acquainted(follower, early, start) if shape is None
-                else _Walk(follower, start, _given(shape, model)))  # fmt: skip
-        spent = time.process_time() - began
-        walk.coupled = coupled
-        fits = list(_followed(walk, chain(early, upcoming), done))
+        if resume is not None:
+            walk = _Walk.at(follower, start, resume)
+        elif shape is None:
+            walk = _acquainted(follower, early, start, template)
+        else:
+            walk = _Walk(follower, start, _given(shape, model))
+        spent = time.process_time() - began if resume is None else 0.0
+        walk.coupled, walk.shape_s = coupled, spent
+        fits = list(_followed(walk, chain(early, upcoming), done, paused))
     betas = fits[-1].shape if walk.betas is None else walk.betas
     report = _report(fits, spent, time.process_time() - began)
-    return Track(tuple(fits), betas, fits[-1].model, report)
+    return Track(tuple(fits), betas, fits[-1].model, report, walk.offset)
 
 
 def _check_side(model: BodyModel, hand: str | None) -> None:
@@ -125,12 +146,19 @@ def _check_side(model: BodyModel, hand: str | None) -> None:
 
 
 def _followed(
-    walk: _Walk, frames: Iterable[tuple[Any, Any]], done: Callable[[int, Fit], None] | None
+    walk: _Walk,
+    frames: Iterable[tuple[Any, Any]],
+    done: Callable[[int, Fit], None] | None,
+    paused: Callable[[Place], None] | None,
 ) -> Iterator[Fit]:
     for k, (points, normals) in enumerate(frames):
         fit = walk.step(points, normals)
+        if k == 0 and walk.shape_s:  # what the first frames told was for all
+            fit.report["cpu_s"]["shape"] = walk.shape_s
         if done is not None:
             done(k, fit)
+        if paused is not None:
+            paused(walk.place)
         yield fit
 
 
@@ -145,16 +173,38 @@ def _given(shape: Any, model: BodyModel) -> Array:
     return betas
 
 
-def _acquainted(follower: Follower, frames: list[tuple[Any, Any]], start: Any) -> _Walk:
+def _acquainted(
+    follower: Follower, frames: list[tuple[Any, Any]], start: Any, template: bool | None
+) -> _Walk:
     """Average the betas of the first frames (Eq. 20) and begin at the first that can be fitted."""
     free = _Walk(follower, start, None)
     fits = [free.step(points, normals) for points, normals in frames]
-    good = [fit for fit in fits if fit.report["followed"]]
+    good = [k for k, fit in enumerate(fits) if fit.report["followed"]]
     if not good:
         return _Walk(follower, "cold", None, freeze=True)
-    walk = _Walk(follower, "cold", np.mean([fit.shape for fit in good], axis=0))
-    walk.begin(good[0])
+    betas, offset = np.mean([fits[k].shape for k in good], axis=0), None
+    if template is not False:
+        pairs = [(fits[k], follower.scan(*frames[k])) for k in good]
+        offset = _offset(follower, pairs, betas, template)
+        follower.recall(None, offset)
+    walk = _Walk(follower, "cold", betas)
+    walk.offset = offset
+    walk.begin(fits[good[0]])
     return walk
+
+
+def _offset(
+    follower: Follower, pairs: list[tuple[Fit, Any]], betas: Array, template: bool | None
+) -> Array | None:
+    """Return what the subject's template adds (V, 3); None where the model's own explains it."""
+    off = [
+        1e-3 * fit.report["statistics"]["noise_mm"] / max(scan.local_noise_m, LEAST_NOISE_M)
+        for fit, scan in pairs
+    ]
+    if template is None and float(np.median(off)) < MISFIT:
+        return None
+    frames = [follower.aligned(fit, scan) for fit, scan in pairs]
+    return subject_offset(follower.surface.model, frames, betas, follower.share)
 
 
 class _Walk:
@@ -171,6 +221,24 @@ class _Walk:
         self.x: Array | None = None
         self.motion: Array = np.zeros(0)
         self.coupled = False
+        self.offset: Array | None = None
+        self.shape_s = 0.0
+
+    @classmethod
+    def at(cls, follower: Follower, start: Any, place: Place) -> _Walk:
+        """Return a sequence that stands at a place."""
+        follower.recall(place.hand, place.offset)
+        walk = cls(follower, "cold" if place.cold else start, place.betas, freeze=place.freeze)
+        walk.x, walk.motion, walk.unseen = place.x, place.motion, dict(place.unseen)
+        walk.offset = place.offset
+        return walk
+
+    @property
+    def place(self) -> Place:
+        """Where the sequence stands."""
+        cold = isinstance(self.start, str)
+        return Place(self.x, self.motion, dict(self.unseen), self.betas, self.freeze, cold,
+                     self.follower.found, self.offset)  # fmt: skip
 
     def step(self, points: Any, normals: Any) -> Fit:
         """Fit the next frame, or hold the last one."""

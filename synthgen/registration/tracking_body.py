@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from synthgen.models import BodyModel
 from synthgen.models.joints import SIDES
@@ -24,6 +25,7 @@ from synthgen.registration.body_schedule import (
     BodyStage,
     basis_of,
     hand_crops,
+    hand_vertices,
     run_body_stage,
 )
 from synthgen.registration.body_search import BodySearch
@@ -32,8 +34,9 @@ from synthgen.registration.coupled import BODY as BODY_COUPLING
 from synthgen.registration.coupled import couple
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import BODY, LEAST_POINTS, Finding, inspect
-from synthgen.registration.scan import Scan, checked_points
+from synthgen.registration.scan import Scan, checked_points, nearest
 from synthgen.registration.solver import Outcome
+from synthgen.registration.template import Aligned, with_offset
 from synthgen.registration.terms import Term, velocity_prior
 from synthgen.registration.tracked import Frame, Unseen
 from synthgen.registration.tracking_state import BodyState, presence
@@ -50,6 +53,8 @@ STAGES = (
 # Hands are scanned worse than the rest: smoothed, they would make the subject's hands thin. The
 # shape is that of the points farther from them.
 SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
+# A subject's template fades in over so much skin beside the hands.
+BLEND_M = 0.05
 # Zero-velocity prior: standard deviation of an angle from frame to frame; times as much for a hand
 # that was begun afresh.
 STEP_RAD, AFRESH = np.deg2rad(2.0), 20.0
@@ -61,6 +66,7 @@ class BodyFollower:
     """Follows a body; see :class:`synthgen.registration.tracked.Follower`."""
 
     def __init__(self, model: BodyModel, seed: int = 0) -> None:
+        self.model = model
         self.surface: BodySurface = body_surface(model)
         self.priors = body_priors(self.surface)
         self.sides: tuple[str, ...] = SIDES
@@ -84,7 +90,7 @@ class BodyFollower:
 
     def begin(self, points: Any, normals: Any, start: Any) -> Fit:
         """Fit the first frame."""
-        return fit_body(points, normals, self.surface.model, start, seed=self.seed)
+        return fit_body(points, normals, self.model, start, seed=self.seed)
 
     def vector(self, fit: Fit) -> Array:
         """Return a fit's parameters."""
@@ -99,8 +105,32 @@ class BodyFollower:
 
     def freed(self, x: Array, scan: Scan) -> Array:
         """Free the mesh from the model."""
-        noise = max(scan.local_noise_m, 1e-4)
-        return couple(self.surface, scan, x, (), noise, BODY_COUPLING).vertices
+        return couple(self.surface, scan, x, (), settings=BODY_COUPLING).vertices
+
+    def aligned(self, fit: Fit, scan: Scan) -> Aligned:
+        """Free the mesh of a frame from the model."""
+        found = couple(self.surface, scan, self.vector(fit), (), settings=BODY_COUPLING)
+        return Aligned(fit.shape, fit.pose, fit.translation, found.vertices, found.seen,
+                       fit.expression)  # fmt: skip
+
+    @property
+    def share(self) -> Array:
+        """All of the offset but on hands, which are scanned worse than the rest."""
+        rest = self.surface.model.v_template
+        hands = np.concatenate([hand_vertices(self.surface, side) for side in SIDES])
+        away = nearest(cKDTree(rest[hands]), rest)[0]
+        return np.clip(away / BLEND_M, 0, 1)
+
+    @property
+    def found(self) -> None:
+        """Bodies have no side."""
+        return None
+
+    def recall(self, hand: str | None, offset: Array | None) -> None:
+        """From now on follow the model with an offset (V, 3)."""
+        if offset is not None:
+            self.surface = body_surface(with_offset(self.model, offset))
+            self.priors = replace(self.priors, surface=self.surface)
 
     def hand(self, side: str) -> Ids:
         """Parameters of a hand: fingers and wrist."""

@@ -21,6 +21,7 @@ from synthgen.registration.scan import Scan, checked_points, scan_of
 from synthgen.registration.schedule import preset_named
 from synthgen.registration.search import Search, Settings
 from synthgen.registration.surface import Surface, surface_of
+from synthgen.registration.template import Aligned, with_offset
 from synthgen.registration.terms import Term, velocity_prior
 from synthgen.registration.tracked import Frame, Unseen, is_lost
 from synthgen.registration.verdict import Judgement
@@ -89,15 +90,40 @@ class HandFollower:
             verdict=judgement.verdict,
             reason=judgement.text,
             report={**report, "hand": self.side},
-            model=mirror_model(self.model) if left else self.model,
+            model=mirror_model(self.surface.model) if left else self.surface.model,
         )
 
     def freed(self, x: Array, scan: Scan) -> Array:
         """Free the mesh from the model, on the hand's own side."""
         own = scan if self.side == "right" else scan.mirrored()
         priors = self._settings(x, 0, shape_free=True).priors(1.0)
-        free = couple(self.surface, own, x, priors, max(own.local_noise_m, 1e-4)).vertices
+        free = couple(self.surface, own, x, priors).vertices
         return free if self.side == "right" else free * _FLIP
+
+    def aligned(self, fit: Fit, scan: Scan) -> Aligned:
+        """Free the mesh of a frame from the model, as a right hand."""
+        own, x = scan if self.side == "right" else scan.mirrored(), self.vector(fit)
+        priors = self._settings(x, 0, shape_free=True).priors(1.0)
+        found = couple(self.surface, own, x, priors)
+        return Aligned(*self.surface.unpack(found.x), found.vertices, found.seen)
+
+    @property
+    def share(self) -> None:
+        """All of the offset."""
+        return None
+
+    @property
+    def found(self) -> str | None:
+        """The side, once a frame has told it."""
+        return self.asked if self.asked in ("left", "right") else None
+
+    def recall(self, hand: str | None, offset: Array | None) -> None:
+        """Follow that side, and from now on the model with an offset (V, 3), as a right hand."""
+        if hand is not None:
+            self.asked = hand
+            self.side = "left" if hand == "left" else "right"
+        if offset is not None:
+            self.surface = surface_of(with_offset(self.model, offset))
 
     def hand(self, side: str) -> NDArray[np.int64]:
         """Return all angles."""

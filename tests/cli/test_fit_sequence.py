@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
+from synthgen.cli import fit_sequence, sequence_log
 from synthgen.cli.main import main
+from synthgen.registration.inspection import HAND
+from synthgen.registration.tracked import Place
 from tests.registration.hands import error_mm, scanned, surface, truth
 
 
@@ -63,3 +67,93 @@ def test_edge_errors(
 ) -> None:  # fmt: skip
     assert main(["fit", frames[0], *words, "--sequence", "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.fixture
+def walk(tmp_path: Path) -> list[str]:
+    """A hand that stays, five times, and the words to track it."""
+    points, normals = scanned()
+    files = [tmp_path / f"walk{k}.xyz" for k in range(5)]
+    for k, file in enumerate(files):
+        np.savetxt(file, np.column_stack([points, normals])[k::2])
+    start = tmp_path / "start.npz"
+    shape, pose, translation = surface().unpack(truth())
+    np.savez(start, shape=shape, pose=pose, translation=translation)
+    return ["fit", *map(str, files), "--sequence", "--hand", "right", "--start", str(start)]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file; reports without their CPU seconds."""
+
+    def without(told: Any) -> Any:
+        if isinstance(told, dict):
+            return {k: without(v) for k, v in told.items() if "cpu_s" not in k}
+        return [without(v) for v in told] if isinstance(told, list) else told
+
+    return {
+        file.name: json.dumps(without(json.loads(file.read_text()))).encode()
+        if file.suffix == ".json" else file.read_bytes()
+        for file in sorted(folder.iterdir())
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("stop", ["interrupt", "kill"])
+def test_properties_a_stopped_sequence_goes_on_to_the_same_bytes(
+    stop: str, walk: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert main([*walk, "--out", str(whole)]) == 0
+    write, asked = fit_sequence._write, [str(walk[3]), str(walk[4])]
+
+    class Killed(BaseException):
+        pass
+
+    def stopped(out: Path, name: str, path: Path, *rest: Any) -> Any:
+        if str(path) == asked[0]:
+            if stop == "kill":  # half of a frame's files are there
+                (out / f"{name}.npz").write_bytes(b"half")
+                raise Killed
+            raise KeyboardInterrupt
+        return write(out, name, path, *rest)
+
+    monkeypatch.setattr(fit_sequence, "_write", stopped)
+    if stop == "kill":
+        with pytest.raises(Killed):
+            main([*walk, "--out", str(broken)])
+    else:
+        assert main([*walk, "--out", str(broken)]) == 3
+        assert "after 2 of 5 frames" in capsys.readouterr().err
+        assert not json.loads((broken / "sequence.json").read_text())["complete"]
+    seen: list[str] = []
+    monkeypatch.setattr(fit_sequence, "_write", lambda *a: (seen.append(str(a[2])), write(*a))[1])
+    assert main([*walk, "--out", str(broken)]) == 0
+    assert seen == walk[3:6]
+    assert contents(broken) == contents(whole)
+
+
+def test_properties_another_command_begins_anew(
+    walk: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+
+    def stopped(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(fit_sequence, "_write", stopped)
+        assert main([*walk, "--out", str(out)]) == 3
+    reel = sequence_log.Reel([Path(p) for p in walk[1:6]], "auto", HAND)
+    log = sequence_log.Log(out, reel, "one")
+    log.paused(Place(None, np.zeros(0), {"hand": 0}, None, False, False, None, None))
+    assert sequence_log.Log(out, reel, "one").recalled() is not None
+    assert sequence_log.Log(out, reel, "other").recalled() is None
+    (out / "sequence.state.npz").write_bytes(b"no archive")
+    assert sequence_log.Log(out, reel, "one").recalled() is None
+
+
+def test_properties_frames_are_never_called_like_the_whole(tmp_path: Path) -> None:
+    names = [tmp_path / "sequence.xyz", tmp_path / "a.xyz"]
+    for file in names:
+        file.write_text("")
+    assert sequence_log.Reel(names, "m", HAND).names == ["sequence_0", "a_1"]
