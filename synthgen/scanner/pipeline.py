@@ -29,7 +29,7 @@ from synthgen.scanner.result import Level, Scan, UnitScan, empty_scan
 from synthgen.scanner.rig import Rig, Unit
 from synthgen.scanner.rows import find_row_offset, refracted_rows
 from synthgen.scanner.scaling import scaled
-from synthgen.scanner.settings import ScanSettings, check_level, check_settings, settings_for
+from synthgen.scanner.settings import ScanSettings, check_level, settings_for
 from synthgen.scanner.stage import Effects, Stage, prepare
 from synthgen.scanner.subject import ScanScene, scene_of
 from synthgen.scanner.support import cut_unsupported
@@ -92,12 +92,10 @@ def scan(
     ShapeError
         If what is given is no mesh of triangles, or ``rng`` no generator.
     ConfigError
-        If there is no such level, the samples per pixel are no square number, or a setting is out
-        of range.
+        If there is no such level, or the samples per pixel are no square number.
     """
     check_level(level)
     chosen = settings or settings_for(rig, level)
-    check_settings(chosen)
     scene = scene_of(mesh_or_scene)
     used = scaled(rig, 0.5) if level == "half" else rig
     stage = prepare(scene, used, rng=rng, effects=effects or Effects())

@@ -16,7 +16,7 @@ from synthgen.scanner.rig import Rig
 from synthgen.scanner.tsdf import FusionSettings
 
 Preset = Literal["default", "best"]
-_HALF_VOXEL, MAX_STEP = 1.25, 16
+_HALF_VOXEL, MAX_STEP, MAX_WINDOW = 1.25, 16, 101
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,28 @@ class ScanSettings:
     true_disparity: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what no scan can be made with; raises ConfigError."""
+        """Refuse numbers that reconstruction cannot work with; ConfigError names the value."""
         match, dic, grid, fusion = self.match, self.match.dic, self.grid, self.fusion
-        odd = "an odd number from 3 on, pixels"
-        for fine, name, value, allowed in (
-            (match.step >= 1, "match.step", match.step, "1 pixel or more"),
-            (match.block >= 3 and match.block % 2, "match.block", match.block, odd),
-            (match.seed_scale in (1, 2), "match.seed_scale", match.seed_scale, "1 or 2"),
-            (dic.window >= 3 and dic.window % 2, "match.dic.window", dic.window, odd),
-            (dic.order in (1, 2), "match.dic.order", dic.order, "1 (affine) or 2 (quadratic)"),
-            (dic.iterations >= 1, "match.dic.iterations", dic.iterations, "1 or more"),
-            (dic.spread > 0, "match.dic.spread", dic.spread, "above 0"),
-            (grid.bridge >= 0, "grid.bridge", grid.bridge, "0 or more samples"),
-            (fusion.voxel_m > 0, "fusion.voxel_m", fusion.voxel_m, "above 0 metres"),
-            (fusion.truncation >= 1, "fusion.truncation", fusion.truncation, "1 voxel or more"),
-            (self.fill_voxels >= 0, "fill_voxels", self.fill_voxels, "0 (keeps holes) or more"),
+        for name, value, low, high in (
+            ("match.step", match.step, 1, MAX_STEP),
+            ("match.block", match.block, 3, MAX_WINDOW),
+            ("match.dic.window", dic.window, 3, MAX_WINDOW),
+            ("match.dic.iterations", dic.iterations, 1, 1000),
+            ("match.dic.spread", dic.spread, 0.1, 100.0),
+            ("grid.bridge", grid.bridge, 0, 100),
+            ("fusion.voxel_m", fusion.voxel_m, 1e-5, 0.1),
+            ("fusion.truncation", fusion.truncation, 1.0, 20.0),
+            ("fusion.least_faces", fusion.least_faces, 1, np.inf),
+            ("fill_voxels", self.fill_voxels, 0.0, 100.0),
         ):
-            if not fine:
-                raise ConfigError(f"settings: {name} = {value}; allowed is {allowed}")
+            if not low <= value <= high:
+                raise ConfigError(f"{name} = {value}; {low:g} to {high:g} is possible")
+        for name, value in (("match.block", match.block), ("match.dic.window", dic.window)):
+            if value % 2 == 0:
+                raise ConfigError(f"{name} = {value}; odd numbers are possible: it has a middle")
+        for name, value in (("match.seed_scale", match.seed_scale), ("match.dic.order", dic.order)):
+            if value not in (1, 2):
+                raise ConfigError(f"{name} = {value}; 1 or 2 is possible")
 
 
 def settings_for(rig: Rig, level: Level = "full", preset: Preset = "default") -> ScanSettings:
@@ -107,17 +111,3 @@ def check_level(level: str) -> None:
     """Refuse what is no level; raises ConfigError."""
     if level not in ("full", "half", "model"):
         raise ConfigError(f"level {level!r}; levels are full, half, model")
-
-
-def check_settings(settings: ScanSettings) -> None:
-    """Refuse numbers that reconstruction cannot work with; raises ConfigError naming the value."""
-    rules = (
-        ("match.step", settings.match.step, 1, MAX_STEP),
-        ("fusion.voxel_m", settings.fusion.voxel_m, 1e-5, 0.1),
-        ("fusion.truncation", settings.fusion.truncation, 1.0, 20.0),
-        ("fusion.least_faces", settings.fusion.least_faces, 1, np.inf),
-        ("fill_voxels", settings.fill_voxels, 0.0, 100.0),
-    )
-    for name, value, low, high in rules:
-        if not low <= value <= high:
-            raise ConfigError(f"{name} = {value}; {low:g} to {high:g} is possible")
