@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from synthgen.corpus import Corpus, manifest, shards
 from synthgen.corpus.columns import Members, depth_steps, key_of, png
-from synthgen.corpus.plan import ENGINE, PLAN
+from synthgen.corpus.plan import CONFIG, ENGINE, PLAN
 from synthgen.corpus.sample import View
 from synthgen.corpus.scans import npy
 from synthgen.scanner import Scan
@@ -177,7 +177,8 @@ def write_drafts(
 ) -> None:
     """Store drafts as a corpus with these columns, one shard, at an empty folder."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / ENGINE).write_bytes((corpus.path / ENGINE).read_bytes())
+    for name in (ENGINE, CONFIG):
+        (out / name).write_bytes((corpus.path / name).read_bytes())
     rows = [json.dumps(draft.views[0].meta["spec"]) for draft in drafts]
     (out / PLAN).write_text("".join(row + "\n" for row in rows), encoding="utf-8")
     for folder in (shards.SIDECARS, *columns):
