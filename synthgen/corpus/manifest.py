@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from synthgen import __version__
 from synthgen.config import Config
 from synthgen.corpus import atomic, shards
+from synthgen.corpus.checksums import SEAL, file_sha256, seal_of
 from synthgen.corpus.shards import Entry
 from synthgen.errors import IntegrityError
 from synthgen.models import load_hand
@@ -76,21 +77,24 @@ def write_manifest(corpus: Path) -> None:
     parts, tables = [], []
     for k in shards.done_shards(corpus):
         sidecar = shards.read_sidecar(corpus, k)
-        parts.append(_summary(k, sidecar))
+        parts.append(_summary(k, sidecar) | {"sidecar_sha256": shards.sidecar_sha256(corpus, k)})
         tables.append(pa.Table.from_pylist(_rows(corpus, k, sidecar)))
     table = _joined(tables)
-    with open(corpus / "plan.jsonl", "rb") as plan:
-        digest = hashlib.file_digest(plan, "sha256").hexdigest()
+    plan = corpus / "plan.jsonl"
     manifest = {
         "format": "synthgen/1",
         **made,
         "samples": sum(len(part["samples"]) for part in parts),
         "views": table.num_rows,
         "shards": parts,
-        "plan_sha256": digest,
+        "plan_bytes": plan.stat().st_size,
+        "plan_sha256": file_sha256(plan),
     }
-    atomic.replace(corpus / TABLE, _parquet(table))
-    atomic.replace(corpus / CARD, _card(manifest, table).encode())
+    files = {TABLE: _parquet(table), CARD: _card(manifest, table).encode()}
+    for name, data in files.items():
+        atomic.replace(corpus / name, data)
+    manifest["files"] = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    manifest[SEAL] = seal_of(manifest)
     text = json.dumps(manifest, sort_keys=True, indent=1)
     atomic.replace(corpus / MANIFEST, text.encode())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from synthgen.corpus import manifest, shards
+from synthgen.corpus.checksums import SEAL, seal_of
 from synthgen.corpus.columns import Members, key_of
 from synthgen.corpus.sample import Sample, View
 from synthgen.corpus.shards import Entry
@@ -26,12 +27,17 @@ class Corpus:
         self.path = path
         self.manifest = _read_manifest(path)
         self._shard_of: dict[int, int] = {}
+        self.sidecar_sha256: dict[int, str | None] = {}
         for entry in self.manifest["shards"]:
+            self.sidecar_sha256[entry["shard"]] = entry.get("sidecar_sha256")
             shards.check_sizes(path, entry["shard"], entry["columns"])
             self._shard_of.update(dict.fromkeys(entry["samples"], entry["shard"]))
         self._indices = sorted(self._shard_of)
         # Indices of members are large: those of the shards read last are kept.
-        self._sidecar = lru_cache(maxsize=8)(partial(shards.read_sidecar, path))
+        self._sidecar = lru_cache(maxsize=8)(self._read_sidecar)
+
+    def _read_sidecar(self, shard: int) -> dict[str, Any]:
+        return shards.read_sidecar(self.path, shard, self.sidecar_sha256[shard])
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -121,6 +127,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         )
     try:
         content: dict[str, Any] = json.loads(file.read_bytes())
+        sealed = SEAL in content or "files" in content  # older ones are not
+        if sealed and content.get(SEAL) != seal_of(content):
+            raise IntegrityError(f"{file} is damaged (its content differs from its {SEAL})")
         return {**content, "shards": list(content["shards"])}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise IntegrityError(f"{file} is damaged ({error})") from None

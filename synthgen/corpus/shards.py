@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from synthgen.corpus import atomic
+from synthgen.corpus.checksums import file_sha256
 from synthgen.corpus.columns import Members
 from synthgen.errors import CorpusError, IntegrityError
 
@@ -102,18 +103,42 @@ class _Tar:
         return {"bytes": self._size, "sha256": self._hash.hexdigest(), "members": self._members}
 
 
-def read_sidecar(corpus: Path, shard: int) -> dict[str, Any]:
+def sidecar_sha256(corpus: Path, shard: int) -> str:
+    """Return the SHA-256 of a shard's sidecar."""
+    return file_sha256(sidecar_path(corpus, shard))
+
+
+def read_sidecar(corpus: Path, shard: int, sha256: str | None = None) -> dict[str, Any]:
     """Read a sidecar and check the sizes of its tars.
+
+    Parameters
+    ----------
+    corpus : Path
+    shard : int
+    sha256 : str or None
+        What the manifest recorded of the sidecar's bytes; None where nothing did.
 
     Raises
     ------
     IntegrityError
-        If the sidecar is unreadable, or a tar is missing or has another size.
+        If the sidecar is missing, unreadable or another one, or a tar is missing or has another
+        size.
     """
     path = sidecar_path(corpus, shard)
+    again = "run generate again"
     try:
-        sidecar: dict[str, Any] = json.loads(path.read_bytes())
+        data = path.read_bytes()
+        if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
+            raise IntegrityError(
+                f"{path}: its bytes differ from their checksum in MANIFEST.json; delete it and "
+                f"{again}"
+            )
+        sidecar: dict[str, Any] = json.loads(data)
         columns = sidecar["columns"]
+    except FileNotFoundError:
+        raise IntegrityError(
+            f"{path} is missing: a run that makes the shard anew is not finished; {again}"
+        ) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise IntegrityError(f"{path}: unreadable sidecar ({error})") from None
     check_sizes(corpus, shard, columns)
@@ -139,19 +164,17 @@ def check_sizes(corpus: Path, shard: int, columns: dict[str, Any]) -> None:
             )
 
 
-def check_hashes(corpus: Path, shard: int) -> None:
-    """Rehash every tar of a shard.
+def check_hashes(corpus: Path, shard: int, sha256: str | None = None) -> None:
+    """Rehash every tar of a shard, and its sidecar; arguments as :func:`read_sidecar`.
 
     Raises
     ------
     IntegrityError
-        Naming the tar whose bytes changed.
+        Naming the file whose bytes changed.
     """
-    for column, facts in read_sidecar(corpus, shard)["columns"].items():
+    for column, facts in read_sidecar(corpus, shard, sha256)["columns"].items():
         tar = tar_path(corpus, column, shard)
-        with open(tar, "rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
-        if found != facts["sha256"]:
+        if file_sha256(tar) != facts["sha256"]:
             raise IntegrityError(f"{tar}: its bytes differ from the checksum in its sidecar")
 
 

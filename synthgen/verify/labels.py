@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from synthgen.corpus import Corpus, open_corpus, shards
+from synthgen.corpus.checksums import damaged_files
 from synthgen.errors import IntegrityError, SynthgenError
 from synthgen.scanner import Rig
 from synthgen.verify.checks import check_view
@@ -41,9 +42,11 @@ def verify(path: str | Path, samples: int | None = None, *, progress: bool = Fal
     corpus = open_corpus(path)
     for shard in corpus.shard_numbers:
         try:
-            shards.check_hashes(corpus.path, shard)
+            shards.check_hashes(corpus.path, shard, corpus.sidecar_sha256[shard])
         except IntegrityError as error:
             report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, str(error)))
+    for words in damaged_files(corpus.path, corpus.manifest):
+        report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, words))
     rig = rig_of(corpus)
     chosen = _spread(len(corpus), samples)
     console = Console(stderr=True)

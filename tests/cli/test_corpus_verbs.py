@@ -77,16 +77,16 @@ def test_smoke_verify_and_report(corpus: Path, tmp_path: Path) -> None:
     assert json.loads(report.read_text())["samples"] == 4
 
 
-def test_edge_verify_names_a_flipped_byte(corpus: Path) -> None:
-    tar = corpus / "image" / "000000.tar"
-    content = bytearray(tar.read_bytes())
+@pytest.mark.parametrize("name", ["image/000000.tar", "plan.jsonl"])
+def test_edge_verify_names_a_flipped_byte(corpus: Path, name: str) -> None:
+    content = bytearray((corpus / name).read_bytes())
     content[700] ^= 1
-    tar.write_bytes(content)
+    (corpus / name).write_bytes(content)
     done = subprocess.run(
         [sys.executable, "-m", "synthgen", "verify", str(corpus)], capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert "image/000000.tar" in done.stdout
+    assert name in done.stdout
 
 
 def test_smoke_show_and_remake(corpus: Path) -> None:
