@@ -213,8 +213,8 @@ def predicted_sd(placed: Placed, hessian: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(spread**2, axis=1).reshape(-1, 3).sum(axis=1)))
 
 
-def early_explained(placed: Placed, scan: Scan, limit_m: float = 0.003) -> float:
-    """Share of points near the model that lie within 3 mm: a cheap test of a half-finished fit."""
+def early_explained(placed: Placed, scan: Scan, limit_m: float) -> float:
+    """Share of points near the model within a limit: a cheap test of a half-finished fit."""
     points, normals = scan.points[-2000:], scan.normals[-2000:]
     pairs = closest(placed, points, normals, cut_m=0.03, cosine=-2.0)
     facing = np.sum(pairs.normal * normals, axis=1) > 0.3
