@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from synthgen.registration.statistics import Statistics
-from synthgen.registration.verdict import MISFIT, NOISE_M, SHAPE_SD, Judgement
+from synthgen.registration.verdict import NOISE_M, SHAPE_SD, Judgement
+
+# A scatter about planes of few neighbours is up to half of the noise; more is no noise.
+FAR_OFF = 3.0
 
 
 def advice(judgement: Judgement, found: Statistics | None, side: str) -> str | None:
@@ -33,7 +36,7 @@ def _noise(found: Statistics | None) -> str:
     if found is None:
         return ""
     noise, local = 1e3 * found.noise_m, 1e3 * found.local_noise_m
-    if noise > MISFIT * local:
+    if noise > FAR_OFF * local:
         return (
             f"the model lies {noise:.1f} mm off the points, which scatter by only {local:.1f} mm: "
             "what was scanned is no hand of this model's kind"

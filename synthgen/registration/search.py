@@ -37,6 +37,9 @@ from synthgen.registration.visibility import visible_vertices
 
 Array = NDArray[np.float64]
 EARLY, MOST_FINISHES, MOST_RESEEDS, COARSE_POINTS = 0.92, 6, 2, 600
+# Within this a point is explained early: 3 mm, with a poor sensor up to 6 mm; the scatter about
+# planes of few neighbours is less than half of much noise.
+EARLY_M, EARLY_NOISES = (3e-3, 6e-3), 5.0
 SAME_M = 5e-4  # two fits nearer than this found the same optimum
 
 
@@ -209,7 +212,8 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         x = outcome.x
         log.append(_logged(stage, outcome, began))
         if k == 0:
-            early = early_explained(outcome.trial.placed, scan)
+            limit_m = float(np.clip(EARLY_NOISES * scan.local_noise_m, *EARLY_M))
+            early = early_explained(outcome.trial.placed, scan, limit_m)
             if early < EARLY:
                 return Candidate(x, source, early, stages=log)
         noise = own_noise(outcome)

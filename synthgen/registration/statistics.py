@@ -211,8 +211,8 @@ def predicted_sd(placed: Placed, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
-def early_explained(placed: Placed, scan: Scan, limit_m: float = 0.003) -> float:
-    """Share of points near the model that lie within 3 mm: a cheap test of a half-finished fit."""
+def early_explained(placed: Placed, scan: Scan, limit_m: float) -> float:
+    """Share of points near the model within a limit: a cheap test of a half-finished fit."""
     points, normals = scan.points[-2000:], scan.normals[-2000:]
     pairs = closest(placed, points, normals, cut_m=0.03, cosine=-2.0)
     facing = np.sum(pairs.normal * normals, axis=1) > 0.3

@@ -74,12 +74,11 @@ class BodyFollower:
 
     def scan(self, points: Any, normals: Any) -> Scan | Finding:
         """Take some 40,000 points in random order, or say that there are too few."""
-        if len(points) > TREE_POINTS:
-            rng = stream(self.seed, "corpus", 0, 0, "scan points")
-            some = rng.choice(len(points), TREE_POINTS, replace=False)
-            normals = None if normals is None else np.asarray(normals)[some]
-            points = np.asarray(points)[some]
         own, given, _ = checked_points(points, normals)
+        if len(own) > TREE_POINTS:
+            rng = stream(self.seed, "corpus", 0, 0, "scan points")
+            some = rng.choice(len(own), TREE_POINTS, replace=False)
+            own, given = own[some], None if given is None else given[some]
         if len(own) < LEAST_POINTS:
             return Finding("no_points", f"{len(own)} finite points; a scan has thousands")
         return body_scan(own, given, seed=self.seed)

@@ -10,6 +10,7 @@ import pytest
 from synthgen.registration.correspondences import Pairs
 from synthgen.registration.limit_term import LimitPrior, angle_slopes
 from synthgen.registration.prior import learned_prior
+from synthgen.registration.scan import Scan
 from synthgen.registration.surface import Placed
 from synthgen.registration.terms import (
     GaussianPrior,
@@ -77,11 +78,36 @@ def test_reference_jacobian_by_finite_differences(name: str) -> None:
             np.testing.assert_allclose(block.rows[:, k], (a - b) / (2 * h), atol=2e-6 * scale)
 
 
-@pytest.mark.parametrize("name", list(terms()))
-def test_properties_cost_is_positive_and_zero_at_perfection(name: str) -> None:
-    term = terms()[name]
+def test_properties_cost_is_zero_at_perfection() -> None:
+    """But for the rim, which costs the plateau."""
+    s = surface()
+    placed, rest = s.at(truth()), s.at(np.zeros(s.n))
+    inner = ~s.rim
+    whole = Scan(placed.vertices[inner], placed.normals[inner])
+    forth = ScanToMesh(whole.points, whole.normals, 1.0, RHO, 0.03, 0.3)
+    back = MeshToScan(whole, 0.1, RHO, 0.015, 0.3)
+    assert forth.cost(placed, forth.match(placed)) < 1e-20
+    plateau = 0.1 * RHO.sigma_m**2 * s.rim.mean()
+    assert back.cost(placed, back.match(placed)) == pytest.approx(plateau)
+    for name in ("velocity", "keypoints"):
+        assert terms()[name].cost(placed, None) == pytest.approx(0, abs=1e-20)
+    for name in ("shape", "protocol", "limits"):
+        assert terms()[name].cost(rest, None) == 0
+
+
+def test_reference_cost_of_the_scan_is_the_robust_mean_of_its_distances() -> None:
+    """Eq. 6 and 14 by libigl, from both sides of the cut."""
+    import igl
+
     placed = surface().at(near_truth())
-    assert term.cost(placed, term.match(placed)) >= 0
+    p, n = scan().points[:500], scan().normals[:500]
+    squared = igl.point_mesh_squared_distance(p, placed.vertices, surface().faces)[0]
+    term = ScanToMesh(p, n, 3.0, RHO, 0.002, -2.0)
+    match, s2 = term.match(placed), RHO.sigma_m**2
+    kept = (squared < 0.002**2) & ~match.rim
+    assert 0.1 < kept.mean() < 0.9
+    robust = np.where(kept, s2 * squared / (s2 + squared), s2)
+    assert term.cost(placed, match) == pytest.approx(3.0 * robust.mean())
 
 
 def test_reference_plane_residual() -> None:

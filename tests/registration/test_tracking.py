@@ -319,6 +319,8 @@ def test_edge_arguments() -> None:
         track([EMPTY], body, first=0)
     with pytest.raises(ShapeError, match=r"up to \(16,\)"):
         track([EMPTY], body, shape=np.zeros(40))
+    with pytest.raises(ShapeError, match="normals have shape"):
+        track([(np.ones((50_000, 3)), np.ones((10, 3)))], body)
     with pytest.raises(ModelError):
         track([EMPTY], replace(body, family="star"))
 
