@@ -24,6 +24,7 @@ from synthgen.config.skin import SkinSettings
 
 Column = Literal["image", "depth", "labels", "meta", "exr", "scan", "stereo"]
 COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr", "scan", "stereo")
+LightEffect = Literal["shadows", "specular", "subsurface", "defocus", "bounce"]
 
 
 class ModelSettings(Section):
@@ -141,6 +142,12 @@ def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     return tuple(name for name in COLUMNS if name in columns)
 
 
+def _once(names: tuple[LightEffect, ...]) -> tuple[LightEffect, ...]:
+    if len(set(names)) != len(names):
+        raise ValueError("an effect is named twice")
+    return names
+
+
 class ScannerSettings(Section):
     """A speckle scanner around the hand; needs the column scan, and stereo for its pictures."""
 
@@ -153,6 +160,17 @@ class ScannerSettings(Section):
 
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
     """Scanner seed: one frozen draw of calibration errors, slides and sensor flaws."""
+
+    preset: Literal["default", "best"] = "default"
+    """Matching: `best` refines with a quadratic shape function, fewer outliers for more time."""
+
+    without: Annotated[tuple[LightEffect, ...], AfterValidator(_once)] = ()
+    """Light effects that are left out, all else equal: shadows, specular, subsurface, defocus,
+    bounce."""
+
+    speed_m_s: float = Field(default=0.0, ge=0, le=2.0)
+    """How fast the hand moves while it is scanned, in a direction of its own; units do not fire at
+    quite the same time."""
 
 
 class CorpusSettings(Section):
@@ -218,6 +236,10 @@ class Config(Section):
         asked = [name for name in ("scan", "stereo") if name in self.corpus.columns]
         if asked and self.scanner.rig is None:
             raise ValueError(f"corpus.columns has {asked[0]} but scanner.rig is null; name a rig")
+        light = self.scanner.preset != "default" or self.scanner.without
+        if self.scanner.level == "model" and light:
+            raise ValueError("scanner.level model has no light and no matching: leave out "
+                             "scanner.preset and scanner.without")  # fmt: skip
         if self.scanner.rig is not None and "scan" not in self.corpus.columns:
             raise ValueError("scanner.rig is set; add scan to corpus.columns, or set it to null")
         if "stereo" in asked and self.scanner.level == "model":

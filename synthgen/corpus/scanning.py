@@ -11,11 +11,14 @@ from synthgen.config import Config
 from synthgen.corpus.columns import Members, ScannedView
 from synthgen.corpus.scans import scan_members, stereo_members
 from synthgen.errors import CorpusError, ScanError
+from synthgen.geometry.normals import unit
 from synthgen.render.renderer import RenderedView
 from synthgen.sampling.spec import SampleSpec
 from synthgen.sampling.streams import stream
-from synthgen.scanner import Scan, ScanScene, load_rig, scan, settings_for
+from synthgen.scanner import Effects, Scan, ScanScene, load_rig, scan, settings_for
 from synthgen.scanner.hand import HandSolid, hand_solid, moved_subject, rig_from_world
+from synthgen.scanner.subject import moved
+from synthgen.scene.description import Vec3
 
 LARGEST_LEAN_RAD = 0.25
 Attempt = Callable[[SampleSpec], tuple[str | None, list[RenderedView]]]
@@ -28,10 +31,12 @@ class Scanning:
         assert config.scanner.rig is not None
         self._config, self._inner = config, inner
         self._rig = load_rig(config.scanner.rig, config.scanner.seed)
-        level = config.scanner.level
+        asked = config.scanner
         self._settings = replace(
-            settings_for(self._rig, level), true_disparity="stereo" in config.corpus.columns
+            settings_for(self._rig, asked.level, asked.preset),
+            true_disparity="stereo" in config.corpus.columns,
         )
+        self._effects = Effects(**dict.fromkeys(asked.without, False))
 
     def attempt(self, spec: SampleSpec) -> tuple[str | None, list[RenderedView]]:
         """Make views and scan of a sample, or say why it must be drawn again."""
@@ -69,12 +74,18 @@ class Scanning:
         hand = hand_solid(moved_subject(subject, R, shift))
         rng = stream(self._config.seed, "sample", spec.index, spec.attempt, "scan")
         found = scan(
-            ScanScene((hand.solid,)), self._rig, rng=rng, level=self._config.scanner.level,
-            settings=self._settings,
+            moved(ScanScene((hand.solid,)), self._velocity(spec)), self._rig, rng=rng,
+            level=self._config.scanner.level, settings=self._settings, effects=self._effects,
         )  # fmt: skip
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R.T, -R.T @ shift
         return (found if found.problem else _on_model(found.moved(T), hand)), T
+
+    def _velocity(self, spec: SampleSpec) -> Vec3:
+        """Return the asked speed, any way, in the rig's frame."""
+        rng = stream(self._config.seed, "sample", spec.index, spec.attempt, "scan motion")
+        x, y, z = (self._config.scanner.speed_m_s * unit(rng.standard_normal(3))).tolist()
+        return x, y, z
 
 
 def _on_model(found: Scan, hand: HandSolid) -> Scan:

@@ -28,14 +28,16 @@ def scan_report(stage: Stage, units: dict[str, Report]) -> Report:
     Returns
     -------
     dict
-        ``rig``, ``rig_digest``, ``scanner_seed``; ``notes``, sentences about what could not be
-        done as asked or was put right; ``units``, by id, see :func:`unit_report`.
+        ``rig``, ``rig_digest``, ``scanner_seed``; ``velocity_m_s`` (3,) by which all solids moved
+        as one, in the rig's frame; ``notes``, sentences about what could not be done as asked or
+        was put right; ``units``, by id, see :func:`unit_report`.
     """
     rig = stage.rig
     return {
         "rig": rig.name,
         "rig_digest": rig.digest,
         "scanner_seed": rig.seed,
+        "velocity_m_s": stage.velocity_m_s.tolist(),
         "notes": [*_calibration(rig), *stage.notes, *_rows(units), *_reach(units)],
         "units": units,
     }

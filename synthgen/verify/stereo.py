@@ -63,7 +63,7 @@ def check_stereo(report: VerifyReport, rig: Rig | str, sample: Sample) -> None:
     lost = asked ^ {unit.ident for unit in scan.units}
     report.measure(sample.index, -1, "stereo units", len(lost), 0,
                    f"no rectified pair is stored of {', '.join(sorted(lost))}")  # fmt: skip
-    pairs = _pairs(scan, rig, sample, np.array(facts["T_world_from_rig"]))
+    pairs = _pairs(scan, rig, sample, facts)
     for pair in pairs:
         record = Record(report, sample.index, about=f"unit {pair.stored.ident}: ")
         _check_calibration(record, pair)
@@ -74,9 +74,16 @@ def check_stereo(report: VerifyReport, rig: Rig | str, sample: Sample) -> None:
         _check_scan(record, pair)
 
 
-def _pairs(scan: Scan, rig: Rig | str, sample: Sample, T_world_from_rig: Array) -> list[Pair]:
+def _pairs(scan: Scan, rig: Rig | str, sample: Sample, facts: dict[str, Any]) -> list[Pair]:
+    T_world_from_rig, report = np.array(facts["T_world_from_rig"]), facts["report"]
     world, faces = drawn_hand(sample.subjects[0])
     vertices = (world - T_world_from_rig[:3, 3]) @ T_world_from_rig[:3, :3]
+
+    def then(ident: str) -> Array:
+        """Where the hand was when a unit exposed."""
+        late = report["units"][ident]["time_s"]
+        return np.asarray(vertices + late * np.array(report["velocity_m_s"]))
+
     used = scaled(rig, 0.5) if isinstance(rig, Rig) and scan.level == "half" else rig
     units = {unit.ident: unit for unit in used.units} if isinstance(used, Rig) else {}
     view, points = sample.views[0], cKDTree(scan.vertices)
@@ -87,8 +94,8 @@ def _pairs(scan: Scan, rig: Rig | str, sample: Sample, T_world_from_rig: Array) 
 
     glass = used.glass if isinstance(used, Rig) else None
     unknown = rig if isinstance(rig, str) else "the rig has no such unit"
-    return [Pair(u, stored_Q(u.ident), units.get(u.ident), unknown, glass, vertices, faces, points)
-            for u in scan.units]  # fmt: skip
+    return [Pair(u, stored_Q(u.ident), units.get(u.ident), unknown, glass, then(u.ident), faces,
+                 points) for u in scan.units]  # fmt: skip
 
 
 def _check_calibration(record: Record, pair: Pair) -> None:

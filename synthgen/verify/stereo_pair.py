@@ -30,7 +30,7 @@ class Pair:
     glass : Glass or None
         What the unit may look through.
     vertices, faces : (V, 3) float64, (F, 3) int64
-        The true surface.
+        The true surface, where it was when the unit exposed.
     scan : cKDTree
         Of the scan's vertices.
     """

@@ -21,6 +21,7 @@ from synthgen.errors import ConfigError
 from synthgen.sampling.draw import draw_sample
 from synthgen.scanner.hand import hand_solid
 from synthgen.scanner.result import empty_scan
+from synthgen.verify import verify
 
 SETTINGS = [
     "scanner.rig=mini", "render.width=32", "render.height=32", "render.spp=1",
@@ -100,6 +101,35 @@ def test_properties_another_scanner_is_told(made: Path, tmp_path: Path) -> None:
     assert {name.split("/")[0] for name in differing} == {"scan", "stereo"}
     suffixes = {name.split("_00.")[1] for name in differing}
     assert suffixes >= {"scan.ply", "texture.jpg", "scan.json", "front.left.png", "right.true.npy"}
+
+
+def test_properties_one_effect_less_or_a_moving_hand_all_else_equal(
+    made: Path, tmp_path: Path
+) -> None:
+    plain = open_corpus(made)[0]
+    for number, asked in enumerate(("scanner.without=[specular]", "scanner.speed_m_s=0.3")):
+        config = load_config("hand_scan", [*SETTINGS, asked, "samples=1"])
+        generate(config, tmp_path / str(number), progress=False)
+        other = open_corpus(tmp_path / str(number))[0]
+        np.testing.assert_array_equal(other.views[0].image, plain.views[0].image)
+        assert plain.scan is not None and other.scan is not None
+        one, two = plain.scan.units[0], other.scan.units[0]
+        assert one.left is not None and two.left is not None
+        assert (one.left != two.left).mean() > 0.01
+        speed = np.linalg.norm(other.scan.report["velocity_m_s"])
+        assert speed == pytest.approx(0.3 if "speed" in asked else 0.0)
+        assert verify(tmp_path / str(number)).ok
+
+
+def test_edge_light_and_matching_of_no_pictures() -> None:
+    columns = "corpus.columns=[image,depth,labels,meta,scan]"
+    for asked in ("scanner.without=[specular]", "scanner.preset=best"):
+        with pytest.raises(ConfigError, match="no light and no matching"):
+            load_config("hand_scan", ["scanner.level=model", columns, asked])
+    with pytest.raises(ConfigError, match="named twice"):
+        load_config("hand_scan", ["scanner.without=[bounce,bounce]"])
+    with pytest.raises(ConfigError, match="shadows"):
+        load_config("hand_scan", ["scanner.without=[shine]"])
 
 
 def test_edge_an_empty_scan_is_a_rejection(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,8 +51,8 @@ KEYS = [
     "files.licence", "render.width", "render.height", "render.spp", "render.quality",
     "render.max_depth", "render.denoise", "render.diffusion", "render.sensor_depth",
     "render.variant",
-    "scanner.rig", "scanner.level", "scanner.seed",
-    "corpus.shard_size",
+    "scanner.rig", "scanner.level", "scanner.seed", "scanner.preset", "scanner.without",
+    "scanner.speed_m_s", "corpus.shard_size",
     "corpus.columns", "corpus.jpeg_quality",
 ]  # fmt: skip
 _CONFIG = ["CONFIG"]
