@@ -96,8 +96,10 @@ class Log:
         rest = {"key": self.key, "frames": len(self.reports), "units": self.reel.units,
                 "unseen": dict(place.unseen), "freeze": place.freeze, "cold": place.cold,
                 "hand": place.hand}  # fmt: skip
-        arrays: dict[str, Any] = {"motion": place.motion, "told": np.array(json.dumps(rest)),
-                                  "x": place.x, "betas": place.betas, "offset": place.offset}  # fmt: skip
+        arrays: dict[str, Any] = {
+            "motion": place.motion, "told": np.array(json.dumps(rest)), "x": place.x,
+            "betas": place.betas, "offset": place.offset,
+        }  # fmt: skip
         file = io.BytesIO()
         np.savez(file, **{k: v for k, v in arrays.items() if v is not None})
         replace(self.state, file.getvalue())

@@ -32,7 +32,7 @@ FIRST = 4
 # Faster changes are jumps of the parametrisation, not motion to go on with.
 FASTEST = 0.35
 # First frames that lie off the model by so many times their own scatter are not the model's shape.
-MISFIT, LEAST_NOISE_M = 1.3, 1e-4
+MISFIT, LEAST_NOISE_M = 1.1, 1e-4
 
 
 @dataclass(frozen=True, eq=False)

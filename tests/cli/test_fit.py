@@ -111,6 +111,13 @@ def test_properties_scans_of_one_name_get_results_of_their_own() -> None:
     assert len(set(names)) == 3
 
 
+def test_edge_free_meshes_meet_no_other_scan() -> None:
+    """Of x.ply the free mesh is x_free.ply."""
+    names = _names([Path("x.ply"), Path("x_free.ply")])
+    assert len({*names, *(f"{name}_free" for name in names)}) == 4
+    assert _names([Path("x_free.ply")]) == ["x_free"]
+
+
 def test_smoke_train_init(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "init.npz"
     words = ["train-init", "cc0-hand", "--out", str(file), "--seconds", "1", "--hands", "100"]

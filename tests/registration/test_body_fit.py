@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -10,9 +11,10 @@ import pytest
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import separate
-from synthgen.registration import REASONS, Fit, fit
+from synthgen.registration import REASONS, Fit, fit, track
 from synthgen.registration.body_fit import start_vector
 from synthgen.registration.body_statistics import PARTS, part_of_vertex
+from synthgen.registration.coupled import couple
 from synthgen.registration.simulated import ScanSettings, simulate_scan
 from tests.registration import hands
 from tests.registration.bodies import (
@@ -217,3 +219,32 @@ def test_edge_wrong_starts() -> None:
     assert x is not None
     assert x[s.shape].sum() == 4
     assert x[s.expression].sum() == 5
+
+
+def test_edge_a_model_without_shape_components() -> None:
+    """The shape is the template's; there is no coefficient to judge."""
+    shape, pose, translation = surface().unpack(truth())
+    bare = replace(model(), shapedirs=model().shapedirs[:, :, :0], digest="bare",
+                   v_template=model().shaped(shape)[0])  # fmt: skip
+    if bare.joint_basis is not None:
+        bare = replace(bare, joint_basis=model().shaped(shape)[1][None])
+    found = fit(*scanned(), bare, (np.zeros(0), pose, translation))
+    assert (found.verdict, found.shape.shape) == ("pass", (0,))
+    assert errors_mm(found.vertices)["body"] < 0.8
+    assert found.report["largest_beta"] == 0
+
+
+def test_properties_coupled_meshes_are_alike_alone_and_tracked() -> None:
+    """One rule for the noise that the coupled stage believes: the scan's own scatter."""
+    begin, believed = surface().unpack(truth()), {}
+    with pytest.MonkeyPatch.context() as patch:
+        for place in ("body_fit", "tracking_body"):
+
+            def spy(*given: Any, place: str = place, **named: Any) -> Any:
+                believed[place] = len(given), named.get("noise_m")
+                return couple(*given, **named)
+
+            patch.setattr(f"synthgen.registration.{place}.couple", spy)
+        fit(*scanned(), model(), begin, coupled=True)
+        track([scanned()], model(), begin, shape=begin[0], coupled=True)
+    assert believed == {"body_fit": (4, None), "tracking_body": (4, None)}

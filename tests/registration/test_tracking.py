@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from igl import point_mesh_squared_distance
 
 from synthgen.errors import ModelError, ShapeError
-from synthgen.models import load
+from synthgen.models import load, mirror_pose
 from synthgen.registration.body_fit import body_surface
 from synthgen.registration.body_schedule import hand_vertices
 from synthgen.registration.fitted import Fit
 from synthgen.registration.inspection import Finding
 from synthgen.registration.scan import Scan
-from synthgen.registration.simulated import ScanSettings, simulate_scan
+from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail, with_shape
 from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
 from synthgen.registration.tracked import Frame, is_lost
 from synthgen.registration.tracking import Track, _Walk, track
@@ -29,6 +30,7 @@ from synthgen.sampling.sequence import PoseSequence, SequenceSettings, sample_se
 from synthgen.sampling.streams import stream
 from tests.registration import hands
 from tests.registration.test_fit import swollen
+from tests.registration.hands import surface, truth
 
 FRAMES, GAP = 5, (1, 3)
 EMPTY = (np.zeros((0, 3)), np.zeros((0, 3)))
@@ -329,3 +331,73 @@ def test_edge_nothing_but_empty_frames() -> None:
     found = track([EMPTY, EMPTY], load("cc0-body"))
     assert [f.reason for f in found.fits] == ["no_points"] * 2
     assert found.report["followed"] == [False, False]
+
+
+@lru_cache(maxsize=1)
+def other() -> tuple[PoseSequence, list[np.ndarray], list[tuple[np.ndarray, np.ndarray]]]:
+    """A body whose shape the model does not have: its poses, vertices and scans."""
+    model, rng = load("cc0-body"), stream(6, "sample", 0, 0, "track test")
+    true = replace(model, v_template=with_shape(model.v_template, 1.7e-3, rng=rng), digest="other")
+    poses = sample_sequence(true, SequenceSettings(3), rng=rng)
+    vertices = [v.astype(np.float64) for v in poses.vertices(true)]
+    settings = BodyScanSettings(points=45_000)
+    found = [simulate_body_scan(model, v, settings, rng=rng) for v in vertices]
+    return poses, vertices, [(s.points, s.normals) for s in found]
+
+
+def test_properties_a_subject_beside_the_model_has_its_own_template() -> None:
+    model, (poses, true, frames) = load("cc0-body"), other()
+    start = poses.shape, poses.pose[0], poses.translation[0]
+    hands = np.concatenate([hand_vertices(body_surface(model), s) for s in ("left", "right")])
+    body = np.setdiff1d(np.arange(len(model.v_template)), hands)
+    off = {}
+    for template in (False, None):
+        found = track(frames, model, start, first=2, template=template)
+        assert (found.offset is None) == (template is False)
+        faces = np.ascontiguousarray(model.faces, dtype=np.int64)
+        squared = point_mesh_squared_distance(true[2][body], found.fits[2].vertices, faces)[0]
+        off[template] = 1e3 * float(np.sqrt(squared).mean())
+    assert off[None] < 0.45
+    assert off[None] < 0.6 * off[False]
+    assert found.offset is not None
+    assert np.abs(found.offset[hands]).max() == 0
+    posed = found.model.evaluate(found.shape[None], found.fits[2].pose[None],
+                                 found.fits[2].translation[None])  # fmt: skip
+    np.testing.assert_allclose(posed.vertices[0], found.fits[2].vertices, atol=1e-5)
+    assert found.model.digest != model.digest
+
+
+def test_properties_a_subject_of_the_model_keeps_its_template() -> None:
+    assert track(scans()[:2], load("cc0-body"), start(), first=2).offset is None
+
+
+def test_properties_a_sequence_goes_on_from_any_place() -> None:
+    """The same bits, with a subject's own template too."""
+    model, (poses, _, frames) = load("cc0-body"), other()
+    start, places = (poses.shape, poses.pose[0], poses.translation[0]), []
+    whole = track(frames, model, start, first=1, template=True, paused=places.append)
+    rest = track(frames[1:], model, start, resume=places[0])
+    for one, two in zip(whole.fits[1:], rest.fits, strict=True):
+        np.testing.assert_array_equal(one.vertices, two.vertices)
+    np.testing.assert_array_equal(whole.shape, rest.shape)
+    np.testing.assert_array_equal(whole.offset, rest.offset)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_properties_a_hand_has_its_own_template(side: str) -> None:
+    """Of a left hand too, whose offset is kept as a right hand's."""
+    model, rng = load("cc0-hand"), stream(8, "sample", 0, 0, "track test")
+    flip = np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
+    vertices = with_detail(surface().at(truth()).vertices, model.faces, 6e-4, rng=rng)
+    points, normals, _ = simulate_scan(vertices, model.faces, ScanSettings(points=15_000), rng=rng)
+    shape, pose, translation = surface().unpack(truth())
+    start = shape, pose if side == "right" else mirror_pose(pose), translation * flip
+    frames = [(points * flip, normals * flip)] * 2
+    off = []
+    for template in (False, True):
+        found = track(frames, model, start, side, first=1, template=template)
+        faces = np.ascontiguousarray(model.faces, dtype=np.int64)
+        squared = point_mesh_squared_distance(vertices, found.fits[1].vertices * flip, faces)[0]
+        off.append(float(np.sqrt(squared).mean()))
+        assert found.fits[1].hand == side
+    assert off[1] < 0.8 * off[0]
