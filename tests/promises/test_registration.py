@@ -26,6 +26,9 @@ def test_properties_cold_starts(benchmark: Any) -> None:
     assert (error < 1.5).mean() >= 0.92
     assert (error[wide] < 1.5).mean() >= 0.96
     assert not any(o.false_pass for o in found)
+    cpu_s = [o.cpu_s for o in found[1:]]
+    assert np.median(cpu_s) <= 1.5
+    assert np.quantile(cpu_s, 0.95) <= 4
 
 
 @pytest.mark.prove
@@ -35,3 +38,13 @@ def test_properties_known_rotations(benchmark: Any) -> None:
     assert (error < 1.5).mean() >= 0.97
     assert error[error < 1.5].mean() <= 0.08
     assert not any(o.false_pass for o in found)
+    assert np.median([o.cpu_s for o in found[1:]]) <= 0.9
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(("noise_m", "seed", "mean_mm"), [(5e-4, 90, 0.18), (1e-3, 140, 0.36)])
+def test_properties_noise(benchmark: Any, noise_m: float, seed: int, mean_mm: float) -> None:
+    found = benchmark.series(N // 3, seed, "perturbed", noise_m=noise_m)
+    error = np.array([o.error for o in found])
+    assert (error < 1.5).mean() >= 0.9
+    assert error[error < 1.5].mean() <= mean_mm
