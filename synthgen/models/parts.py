@@ -18,6 +18,7 @@ from synthgen.errors import ModelError, nearest
 from synthgen.models.constrained import ConstrainedTree
 from synthgen.models.joints import SMPLH52_NAMES
 from synthgen.models.model import BodyModel
+from synthgen.models.packed import fold_joints
 from synthgen.models.pose_features import feature_joints
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def separate(body: BodyModel, part: PartName | NDArray[Any]) -> Part:
     joints = influences(body, vertices)
     tree, columns = _part_tree(body.axis_meta, joints)
     exprdirs = None if body.exprdirs is None else body.exprdirs[vertices]
-    basis = joint_basis(body)[:, joints]
+    basis = fold_joints(body)[:, joints]
     if exprdirs is not None and not exprdirs.any() and not basis[1 + body.n_shape :].any():
         exprdirs, basis = None, basis[: 1 + body.n_shape]
     first, _ = feature_joints(body)
@@ -144,20 +145,6 @@ def influences(body: BodyModel, vertices: NDArray[Any]) -> Ids:
             wanted.add(joint)
             joint = int(body.parents[joint])
     return np.array(sorted(wanted), dtype=np.int64)
-
-
-def joint_basis(body: BodyModel) -> Array:
-    """Return rest joints as an affine function of [1, shape, expression]: (1 + nb + ne, K, 3)."""
-    if body.joint_basis is not None:
-        return body.joint_basis
-    moves = [body.v_template[..., None], body.shapedirs]
-    moves += [] if body.exprdirs is None else [body.exprdirs]
-    flat = np.concatenate(moves, axis=2)
-    if body.family != "supr":
-        return np.asarray(np.einsum("kv,vcs->skc", body.J_regressor, flat, optimize=True))
-    basis = (body.J_regressor[:, :-1] @ flat.reshape(-1, flat.shape[2])).T.copy()
-    basis[0] += body.J_regressor[:, -1]
-    return np.asarray(basis.reshape(len(basis), -1, 3))
 
 
 def feature_columns(body: BodyModel, joints: Ids) -> Ids:

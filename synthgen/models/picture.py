@@ -20,7 +20,8 @@ from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.geometry.raster import rasterise
 from synthgen.models.hand_pca import finger_joints
 from synthgen.models.model import BodyModel, Hand, HandSpace
-from synthgen.models.parts import joint_basis, part_vertices
+from synthgen.models.packed import fold_joints
+from synthgen.models.parts import part_vertices
 from synthgen.models.views import View, view_of
 
 Array = NDArray[np.float64]
@@ -108,7 +109,7 @@ def _shape_row(model: BodyModel, most: int) -> Row:
 
 def _is_apart(model: BodyModel) -> bool:
     """Tell whether the mesh is away from its root: the feet of a taller body are lower."""
-    root, v = joint_basis(model)[0, 0], model.v_template
+    root, v = fold_joints(model)[0, 0], model.v_template
     return bool(((root < v.min(axis=0)) | (root > v.max(axis=0))).any())
 
 

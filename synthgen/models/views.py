@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from synthgen.geometry.normals import unit
 from synthgen.models.joints import SIDES
 from synthgen.models.model import BodyModel
-from synthgen.models.parts import joint_basis
+from synthgen.models.packed import fold_joints
 
 Array = NDArray[np.float64]
 _KNUCKLES = ("index1", "middle1", "pinky1", "ring1")
@@ -52,7 +52,7 @@ def view_of(model: BodyModel, kind: str) -> View:
 
 def _hand_view(model: BodyModel, prefix: str) -> View:
     """Fingers up, seen on the back of the hand from the side of the thumb."""
-    joints = dict(zip(model.joint_names, joint_basis(model)[0], strict=True))
+    joints = dict(zip(model.joint_names, fold_joints(model)[0], strict=True))
     wrist = joints[f"{prefix}wrist"]
     fingers = unit(np.mean([joints[f"{prefix}{name}"] for name in _KNUCKLES], axis=0) - wrist)
     back = np.array([0.0, 1.0, 0.0])  # hands rest palm down

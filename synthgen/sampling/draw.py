@@ -260,7 +260,6 @@ def _cameras(
 def _arm(
     model: ManoModel, subject: HandSubject, cameras: tuple[Camera, ...], rng: np.random.Generator
 ) -> tuple[HandSubject, Array] | None:
-    assert model.surface is not None
     n_hand, end = model.surface.n_hand_vertices, model.surface.arm.end_ids
     for _ in range(placement.ARM_TRIES):
         wrist, elbow = placement.sample_arm(rng=rng)

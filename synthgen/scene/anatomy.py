@@ -16,14 +16,13 @@ from scipy import sparse
 
 from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.models import ManoModel
-from synthgen.models.joints import FINGERS
+from synthgen.models.joints import FINGERS, TIP_ORDER
 from synthgen.scene.surface import DrawnSurface
 from synthgen.scene.transfer import masks_of
 
 Array = NDArray[np.float64]
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
-_TIP_ORDER = ("thumb", "index", "middle", "ring", "pinky")
 _CALM_STEPS = 24
 _THUMB_BACK = np.array([0.25, 0.75, 0.6])
 
@@ -104,7 +103,7 @@ def anatomy_of(model: ManoModel) -> Anatomy:
     local = (joints - joints[0]) * sign
     tips = (model.v_template[model.fingertip_ids] - joints[0]) * sign
     fingers = tuple(
-        _finger(f, local, tips[_TIP_ORDER.index(name)], points, normals, weights, nail)
+        _finger(f, local, tips[TIP_ORDER.index(name)], points, normals, weights, nail)
         for f, name in enumerate(FINGERS)
     )
     return Anatomy(points, normals, weights, nail, local, fingers)

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from synthgen.geometry.normals import unit
 from synthgen.models import ManoModel, list_models, load_hand
+from synthgen.models.joints import TIP_ORDER
 
 Array = NDArray[np.float64]
 
 SOURCE = "cc0-hand"
-_TIPS = ("thumb", "index", "middle", "ring", "pinky")
-_TIP_JOINT = dict(zip(_TIPS, (15, 3, 6, 12, 9), strict=True))
+_TIP_JOINT = dict(zip(TIP_ORDER, (15, 3, 6, 12, 9), strict=True))
 
 
 @lru_cache(maxsize=8)
@@ -66,7 +66,7 @@ def _ends(model: ManoModel, joints: Array) -> Array:
     for k in range(len(joints) - 1, 0, -1):
         if model.parents[k] > 0:
             ends[model.parents[k]] = joints[k]
-    for name, vertex in zip(_TIPS, model.fingertip_ids, strict=True):
+    for name, vertex in zip(TIP_ORDER, model.fingertip_ids, strict=True):
         ends[_TIP_JOINT[name]] = model.v_template[vertex]
     return ends
 
