@@ -12,27 +12,43 @@ from synthgen.cli.options import CorpusDir, Json
 from synthgen.cli.output import DONE, FAILED, Result, columns
 
 if TYPE_CHECKING:
-    from synthgen.verify.report import Failure
+    from synthgen.verify.report import Failure, VerifyReport
     from synthgen.verify.roundtrip import RoundTrip
     from synthgen.verify.self_test import Cell
 
 SHOWN = 20
 
 Some = Annotated[
-    int | None, typer.Option("--samples", metavar="N", min=1, help="Check N samples, spread out.")
+    int | None,
+    typer.Option(
+        "--samples",
+        metavar="N",
+        min=1,
+        help="Check N samples, spread out; all if not given. With --self-test: spoil N (2).",
+    ),
 ]
 Report = Annotated[
     Path | None,
     typer.Option(
-        "--report", metavar="FILE", help="Write the report as JSON; --start adds a .html."
+        "--report",
+        metavar="FILE.json",
+        help="Write all findings as JSON; --start adds a page with pictures, FILE.html.",
     ),
 ]
 Start = Annotated[
     str | None,
-    typer.Option("--start", metavar="S", help="Also fit the model back, from gt, perturbed, cold."),
+    typer.Option(
+        "--start",
+        metavar="gt|perturbed|cold",
+        help="Also fit the model to what is stored and compare with the truth, starting there, "
+        "turned by up to 15 degrees in the mean pose, or from nothing.",
+    ),
 ]
 SelfTest = Annotated[
-    bool, typer.Option("--self-test", help="Put every known defect in and see it caught instead.")
+    bool,
+    typer.Option(
+        "--self-test", help="Instead: put every known defect into copies and see it caught."
+    ),
 ]
 
 
@@ -44,7 +60,12 @@ def verify(
     self_test: SelfTest = False,
     as_json: Json = False,
 ) -> Result:
-    """Check a corpus against the truth it was made from; --start adds the round trip."""
+    """Check a corpus against the truth it was made from; --start adds the round trip.
+
+    Exit code 1: a label is wrong, stored points contradict the truth,
+    or the self-test missed a defect. Fits that fail, and hands of which
+    too little is seen, are counted only.
+    """
     if self_test:
         return _self_test(directory, samples, report)
     from synthgen.verify.labels import verify as check
@@ -67,7 +88,7 @@ def verify(
               for column, n in sorted(found.lacking.items())]  # fmt: skip
     good = found.ok
     if start is not None:
-        trip = _round_trip(directory, samples, start, report, not as_json)
+        trip = _round_trip(directory, samples, start, report, not as_json, found)
         payload["round_trip"] = trip.to_json()
         payload["ok"] = good = good and trip.ok
         lines += _trip_lines(trip)
@@ -76,14 +97,19 @@ def verify(
 
 
 def _round_trip(
-    directory: Path, samples: int | None, start: str, report: Path | None, progress: bool
+    directory: Path,
+    samples: int | None,
+    start: str,
+    report: Path | None,
+    progress: bool,
+    labels: VerifyReport,
 ) -> RoundTrip:
     from synthgen.verify.roundtrip import round_trip
     from synthgen.verify.roundtrip_page import write_page
 
     trip = round_trip(directory, start, samples, progress=progress)
     if report is not None:
-        write_page(report.with_suffix(".html"), trip, directory.resolve().name)
+        write_page(report.with_suffix(".html"), trip, directory.resolve().name, labels)
     return trip
 
 

@@ -46,6 +46,7 @@ def draw_overlay(
     faces: NDArray[Any],
     title: str = "",
     close: Sequence[NDArray[np.int64]] = (),
+    seen_like: NDArray[Any] | None = None,
 ) -> Picture:
     """Draw three columns (scan; scan over model; distance) from three sides.
 
@@ -60,6 +61,8 @@ def draw_overlay(
     title : str
     close : sequence of (m,) int
         Vertices to look at closely, such as a body's hands.
+    seen_like : (W, 3) float, metres, optional
+        Look from where these would be looked at from, to compare two pictures.
 
     Returns
     -------
@@ -67,14 +70,15 @@ def draw_overlay(
     """
     scan, mesh = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
     scan = scan[np.isfinite(scan).all(axis=1)]
-    rows = _rows(scan, mesh, faces, BODY if _radius(mesh) > BODY_RADIUS_M else HAND)
+    like = mesh if seen_like is None else np.asarray(seen_like, np.float64)
+    rows = _rows(scan, mesh, faces, BODY if _radius(mesh) > BODY_RADIUS_M else HAND, like)
     for ids in close:
         own = np.isin(faces, ids).all(axis=1)
         used, inner = np.unique(faces[own], return_inverse=True)
         part = mesh[used]
         low, high = part.min(axis=0) - CLOSE_MARGIN_M, part.max(axis=0) + CLOSE_MARGIN_M
         near = scan[((scan > low) & (scan < high)).all(axis=1)]
-        rows += _rows(near, part, inner.reshape(-1, 3), CLOSE)[:1]
+        rows += _rows(near, part, inner.reshape(-1, 3), CLOSE, part)[:1]
     return _titled(np.vstack(rows), title)
 
 
@@ -83,14 +87,14 @@ def _radius(mesh: Array) -> float:
     return float(np.linalg.norm(mesh - middle, axis=1).max())
 
 
-def _rows(scan: Array, mesh: Array, faces: NDArray[Any], look: _Look) -> list[Picture]:
+def _rows(scan: Array, mesh: Array, faces: NDArray[Any], look: _Look, like: Array) -> list[Picture]:
     from scipy.spatial import cKDTree
 
     scan = _spread(scan, MOST_POINTS)
     plane = _plane_distance(scan, mesh, faces, look.unseen_m)
     distance = cKDTree(scan).query(mesh)[0] if len(scan) else np.full(len(mesh), np.inf)
     colours = error_colours(np.where(distance < look.unseen_m, plane, np.inf), look.worst_m)
-    cameras = _cameras(mesh, _radius(mesh), look)
+    cameras = _cameras(like, _radius(like), look)
     return [np.hstack(_row(scan, mesh, faces, colours, camera, look)) for camera in cameras]
 
 

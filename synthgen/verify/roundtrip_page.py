@@ -12,29 +12,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.registration.overlay import draw_overlay
+from synthgen.verify.report import VerifyReport
 from synthgen.verify.roundtrip import HandTrip, RoundTrip
 
 Array = NDArray[np.float64]
 PICTURES = 40
 
 
-def write_page(path: Path, trip: RoundTrip, title: str) -> None:
-    """Write the page; it needs no other file and no network."""
-    counts = ", ".join(f"{n} {verdict}" for verdict, n in trip.counts.items())
+def write_page(path: Path, trip: RoundTrip, title: str, labels: VerifyReport | None = None) -> None:
+    """Write the page, of one file; ``labels`` is what the checks of labels found."""
     worst = trip.worst_first
-    rows = "\n".join(_row(hand) for hand in worst)
-    cards = "\n".join(_card(hand) for hand in worst[:PICTURES] if hand.fit is not None)
-    state = "no alarm" if trip.ok else "TRUTH MISMATCH"
     page = _PAGE.format(
         title=html.escape(title),
         start=html.escape(trip.start),
-        counts=counts,
-        state=state,
-        rows=rows,
-        cards=cards,
+        counts=", ".join(f"{n} {verdict}" for verdict, n in trip.counts.items()),
+        state="no alarm" if trip.ok else "TRUTH MISMATCH",
+        passed=_passed(trip),
+        labels="" if labels is None else _labels(labels),
+        rows="\n".join(_row(hand) for hand in worst),
+        cards="\n".join(_card(hand) for hand in worst[:PICTURES] if hand.fit is not None),
+        pictured=f"The {PICTURES} worst are pictured. " if len(worst) > PICTURES else "",
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding="utf-8")
+
+
+def _passed(trip: RoundTrip) -> str:
+    means = trip.to_json()["passed"]
+    if not means:
+        return "No hand passed."
+    return (
+        f"Hands that passed, on average: vertices {means['v2v_mean_mm']:.2f} mm from the truth, "
+        f"those near a point {means['v2v_seen_mean_mm']:.2f} mm, their surface "
+        f"{means['surface_seen_mm']:.2f} mm; the sensor explains {means['floor_mm']:.2f} mm."
+    )
+
+
+def _labels(report: VerifyReport) -> str:
+    """Say what the label checks found, and what they could not judge."""
+    found = f"{len(report.failures)} failures" if report.failures else "ok"
+    lines = [f"<p><b>Labels: {found}</b>, {report.views} views of {report.samples} samples.</p>"]
+    told = [f"sample {f.sample}, view {f.view}: {f.check}: {f.message} ({f.value:.4g}, at most "
+            f"{f.limit:.4g})" for f in report.failures[:PICTURES]]  # fmt: skip
+    told += [f"not judged: {check}, {times} times of {times + report.judged[check]}: {reason}"
+             for check, reasons in report.reasons().items()
+             for reason, times in reasons.items()]  # fmt: skip
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in told)
+    return "".join([*lines, f"<ul>{items}</ul>" if told else ""])
 
 
 def _row(hand: HandTrip) -> str:
@@ -53,18 +77,23 @@ def _card(hand: HandTrip) -> str:
     assert hand.fit is not None
     points = np.zeros((0, 3)) if hand.points is None else hand.points
     title = f"sample {hand.sample}, hand {hand.hand_number}: {hand.verdict} {hand.reason}"
-    pictures = [_picture(points, hand.fit.vertices, hand.fit.model.faces, "the fit")]
+    faces, seen_like = hand.fit.model.faces, hand.fit.vertices
+    shown = [_picture(points, hand.fit.vertices, faces, "as fitted", seen_like)]
     if hand.verdict != "pass" and hand.truth is not None:
-        pictures.append(_picture(points, hand.truth, hand.fit.model.faces, "the truth"))
-    return f"<figure>{''.join(pictures)}<figcaption>{html.escape(title)}</figcaption></figure>"
+        shown.append(_picture(points, hand.truth, faces, "as it truly was", seen_like))
+    told = html.escape(str(hand.fit.report.get("message") or ""))
+    caption = f"<figcaption><b>{html.escape(title.strip())}</b> {told}</figcaption>"
+    return f"<figure>{caption}<div>{''.join(shown)}</div></figure>"
 
 
-def _picture(points: Array, vertices: Array, faces: NDArray[Any], what: str) -> str:
-    picture = draw_overlay(points, vertices, faces, what)
+def _picture(
+    points: Array, vertices: Array, faces: NDArray[Any], what: str, seen_like: Array
+) -> str:
+    picture = draw_overlay(points, vertices, faces, seen_like=seen_like)
     data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]),
                         [cv2.IMWRITE_JPEG_QUALITY, 80])[1]  # fmt: skip
     text = base64.b64encode(data.tobytes()).decode()
-    return f'<img alt="{what}" src="data:image/jpeg;base64,{text}">'
+    return f'<span>{what}<img alt="{what}" src="data:image/jpeg;base64,{text}"></span>'
 
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}: round trip</title>
@@ -76,19 +105,31 @@ td, th {{ padding: .2em .6em; text-align: right; border-bottom: 1px solid #ddd }
 td:nth-child(-n+5), th:nth-child(-n+5) {{ text-align: left }}
 tr.truth_mismatch {{ background: #fdd }} tr.fail {{ background: #ffe9d0 }}
 tr.unobserved {{ background: #fffbd6 }}
-td:nth-child(4) {{ min-width: 13em }} figure {{ margin: 1.5em 0 0 }}
-img {{ width: 520px; max-width: 49% }}
-figcaption {{ font-size: 13px; color: #555 }}
+td:nth-child(4) {{ min-width: 13em }} figure {{ margin: 2em 0 0 }}
+figure div {{ display: flex; gap: 1em }} span {{ width: 49%; color: #555 }} img {{ width: 100% }}
+dt {{ float: left; clear: left; width: 9em; font-weight: bold }} dd {{ margin-left: 9.5em }}
 </style>
 <h1>{title}: round trip from {start}</h1>
-<p><b>{state}</b>: {counts}. Worst first. Left to right in each picture: the stored points; points
-over the surface; the surface coloured by their distance (green 0, red 1 mm and more, grey not
-seen). What did not pass is shown twice: as fitted, and as it truly was.</p>
-<table><thead><tr><th>sample<th>hand<th>verdict<th>reason<th>source<th>v2v mm<th>v2v seen
-<th>surface seen<th>joints mm<th>rotation deg<th>coverage<th>truth explains<th>x floor</tr></thead>
+<p><b>Round trip: {state}</b>, {counts}. {passed}</p>
+{labels}
+<dl><dt>pass<dd>the fit explains the points and lies at the truth
+<dt>unobserved<dd>the points do not determine the parts in brackets; counted, not failed
+<dt>fail<dd>the fitter's failure: the reason says which, and how a fit from the truth ends
+<dt>truth_mismatch<dd>the alarm: the fit is good and the truth is far, or the stored points do not
+lie on the true surface
+<dt>v2v<dd>mean distance of fitted from true vertices; seen: of those within 2.5 mm of a point
+<dt>coverage<dd>share of the true vertices within 2.5 mm of a point
+<dt>truth explains<dd>share of the points, less the sensor's error, on the true surface
+<dt>x floor<dd>error of the seen vertices over what noise and sensor explain</dl>
+<table><thead><tr><th>sample<th>hand<th>verdict<th>reason<th>source<th>v2v mm<th>v2v seen mm
+<th>surface seen mm<th>joints mm<th>rotation deg<th>coverage<th>truth explains
+<th>x floor</tr></thead>
 <tbody>
 {rows}
 </tbody></table>
+<p>{pictured}Left to right in each picture: the stored points; points over the surface; the surface
+coloured by their distance (green 0, red 1 mm and more, grey not seen). What did not pass is shown
+twice, from the same sides.</p>
 {cards}
 </html>
 """

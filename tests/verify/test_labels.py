@@ -131,6 +131,51 @@ def test_reference_chirality_of_a_plain_curled_hand() -> None:
     assert chirality(mirrored, "left") < 0 < chirality(mirrored, "right")
 
 
+@pytest.fixture(scope="module")
+def tiny_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pictures too small for some checks."""
+    out = tmp_path_factory.mktemp("tiny") / "c"
+    small = ["samples=2", "seed=76", "render.width=48", "render.height=48", "render.spp=1"]
+    generate(load_config("hand_rgbd", small), out, progress=False)
+    return out
+
+
+def test_edge_what_cannot_be_judged_is_said(
+    tiny_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = verify(tiny_path)
+    assert report.ok
+    assert report.never_judged == ["normals", "stale image"]
+    assert report.to_json()["not_judged"]["normals"]["judged"] == 0
+    assert main(["verify", str(tiny_path)]) == 0
+    said = capsys.readouterr().out
+    assert "ok, but nothing is known of normals, stale image" in said
+    assert "not judged: normals, 2 times of 2: fewer than 50 pixels lie on smooth surface" in said
+
+
+def test_edge_a_defect_that_cannot_be_judged_is_no_miss(tiny_path: Path) -> None:
+    corpus = open_corpus(tiny_path)
+    name = "normals away from the camera"
+    found = cell(corpus, name, FAULTS[name], "RGB", 2)
+    assert found.ok and found.of == 0
+    assert found.reason == "normals not judged: fewer than 50 pixels lie on smooth surface"
+    # visibility is judged by exact rays, whatever the size of the picture
+    name = "hidden keypoints called visible"
+    found = cell(corpus, name, FAULTS[name], "RGB", 2)
+    assert (found.caught, found.of) == (2, 2), found
+
+
+def test_reference_a_missed_defect_is_no_pass(
+    corpus_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check that judges and sees nothing is a miss, and no excuse."""
+    monkeypatch.setattr("synthgen.verify.checks._normal_error", lambda *_: 0.0)
+    name = "normals away from the camera"
+    found = cell(open_corpus(corpus_path), name, FAULTS[name], "RGB", 2)
+    assert not found.ok
+    assert found.of == 2 and len(found.missed) == 2
+
+
 def test_edge_nan_fails_a_measurement() -> None:
     report = VerifyReport()
     report.measure(0, 0, "x", float("nan"), 1.0, "not a number")

@@ -16,6 +16,7 @@ from synthgen.errors import ShapeError
 from synthgen.verify import verify
 from synthgen.verify.draft import Draft, write_drafts
 from synthgen.verify.faults import FAULTS
+from synthgen.verify.report import VerifyReport
 from synthgen.verify.roundtrip import RoundTrip, round_trip
 from synthgen.verify.roundtrip_page import write_page
 from synthgen.verify.self_test import PRODUCTS, ROUND_TRIP, Cell, SelfTest, cell, self_test
@@ -72,10 +73,17 @@ def test_smoke_report_and_page(trip: RoundTrip, tmp_path: Path) -> None:
     row = json.loads(json.dumps(trip.to_json()))
     assert row["start"] == "perturbed"
     assert {"v2v_mean_mm", "joints_mean_mm", "coverage", "floor_mm"} <= set(row["hands"][0])
-    write_page(tmp_path / "trip.html", trip, "a <corpus>")
+    labels = VerifyReport()
+    labels.measure(3, 0, "mask", 9.0, 2.0, "pixels differ")
+    labels.not_judged(3, 0, "normals", "too few pixels")
+    write_page(tmp_path / "trip.html", trip, "a <corpus>", labels)
     page = (tmp_path / "trip.html").read_text()
     assert page.count("<figure>") == 3
     assert "a &lt;corpus&gt;" in page
+    assert "sample 3, view 0: mask: pixels differ (9, at most 2)" in page
+    assert "not judged: normals, 1 times of 1: too few pixels" in page
+    unsound = sum(hand.verdict != "pass" for hand in trip.trips)
+    assert page.count("as it truly was<img") == unsound
 
 
 @pytest.mark.parametrize("name", ["mean pose dropped", "depth stored in millimetres",
@@ -138,7 +146,7 @@ def test_smoke_the_table_on_the_command_line(
     corpus_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     few = {name: FAULTS[name] for name in ("BGR picture", "scan mirrored", "distortion forgotten")}
-    monkeypatch.setattr("synthgen.verify.self_test.FAULTS", few)
+    monkeypatch.setattr("synthgen.verify.self_test.ALL_FAULTS", few)
     assert main(["verify", str(corpus_path), "--self-test", "--samples", "1"]) == 0
     said = capsys.readouterr().out
     assert "1/1 skin hue" in said
