@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 # Mesh-to-scan needs density, not every point.
 TREE_POINTS = 15_000
 NEIGHBOURS, WIDE_M = 12, 0.015
+# How many neighbours tell the scatter up to how much of it; and how far skin is flat: metres.
+NEIGHBOURHOODS, FLAT_M = ((12, 4.5e-4), (24, 7.5e-4), (48, np.inf)), 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +58,25 @@ class Scan:
 
     @cached_property
     def local_noise_m(self) -> float:
-        """Median scatter of points about the planes of their 12 nearest neighbours, metres."""
-        k = min(NEIGHBOURS, len(self.points))
+        """Median scatter of points about the planes of their nearest neighbours, metres.
+
+        Of 12 neighbours, which lie on skin that bends little; of more where they lie close and
+        scatter as far as they reach, since the nearest are then those that lie near the plane.
+        """
+        for k, trusted_m in NEIGHBOURHOODS:
+            found, reach_m = self._scatter_m(min(k, len(self.points)))
+            if found < trusted_m or reach_m > FLAT_M:
+                break
+        return found
+
+    def _scatter_m(self, k: int) -> tuple[float, float]:
+        """Return the scatter of k neighbours about their plane, and how far they reach."""
         found: Any = self.tree.query(self.points[:400], k=k)
         near = self.points[np.asarray(found[1])]
         local = near - near.mean(axis=1, keepdims=True)
         least = np.linalg.eigvalsh(np.einsum("nka,nkb->nab", local, local))[:, 0]
-        return float(np.sqrt(np.median(np.maximum(least, 0)) / max(k - 3, 1)))
+        scatter = np.sqrt(np.median(np.maximum(least, 0)) / max(k - 3, 1))
+        return float(scatter), float(np.median(found[0][:, -1]))
 
     def mirrored(self) -> Scan:
         """Reflect x: a left hand's scan becomes a right hand's."""
