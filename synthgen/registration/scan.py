@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 # Mesh-to-scan needs density, not every point.
 TREE_POINTS = 15_000
 NEIGHBOURS, WIDE_M = 12, 0.015
-# Of the scatter of points: width of a neighbourhood over the scatter in it, and its most points.
-WIDE_NOISE, MOST_NEIGHBOURS = 5.0, 400
+# Of the scatter of points: width of a neighbourhood over the scatter in it, its most points, and
+# how far skin is flat.
+WIDE_NOISE, MOST_NEIGHBOURS, FLAT_M = 5.0, 400, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +63,25 @@ class Scan:
 
         A dozen neighbours, and as many as it takes to make the neighbourhood five times as wide as
         the scatter: in a narrower one those are near whose noise is alike, and 1 mm looks like 0.6.
+        Not beyond 5 mm, where skin bends.
         """
         most = min(self.tree.n, MOST_NEIGHBOURS)
         k = min(NEIGHBOURS, most)
         while True:
-            found: Any = self.tree.query(self.points[:400], k=k)
-            near = self.points[np.asarray(found[1])]
-            local = near - near.mean(axis=1, keepdims=True)
-            least = np.linalg.eigvalsh(np.einsum("nka,nkb->nab", local, local))[:, 0]
-            scatter = float(np.sqrt(np.median(np.maximum(least, 0)) / max(k - 3, 1)))
-            wanted = WIDE_NOISE * scatter / max(float(np.median(found[0][:, -1])), 1e-12)
-            if wanted <= 1 or k == most:
+            scatter, reach = self._scatter_m(k)
+            wanted = WIDE_NOISE * scatter / max(reach, 1e-12)
+            if wanted <= 1 or k == most or reach > FLAT_M:
                 return scatter
             k = min(int(np.ceil(k * max(wanted**2, 1.3))), most)
+
+    def _scatter_m(self, k: int) -> tuple[float, float]:
+        """Return the scatter of k neighbours about their plane, and how far they reach."""
+        found: Any = self.tree.query(self.points[:400], k=k)
+        near = self.points[np.asarray(found[1])]
+        local = near - near.mean(axis=1, keepdims=True)
+        least = np.linalg.eigvalsh(np.einsum("nka,nkb->nab", local, local))[:, 0]
+        scatter = np.sqrt(np.median(np.maximum(least, 0)) / max(k - 3, 1))
+        return float(scatter), float(np.median(found[0][:, -1]))
 
     def mirrored(self) -> Scan:
         """Reflect x: a left hand's scan becomes a right hand's."""

@@ -10,6 +10,7 @@ import pytest
 from synthgen.errors import ShapeError
 from synthgen.registration.scan import bulge, checked_points, estimate_normals, scan_of
 from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
+from synthgen.registration.verdict import MISFIT
 from tests.registration.hands import rng, scan, scanned, surface, truth
 
 
@@ -34,10 +35,17 @@ def test_properties_bulge_tells_flipped_normals() -> None:
     assert bulge(scan().points, -scan().normals) < -0.1
 
 
-@pytest.mark.parametrize("noise_m", [2e-4, 5e-4, 1e-3])
+@pytest.mark.parametrize("noise_m", [2e-4, 5e-4, 7e-4, 1e-3])
 def test_reference_local_noise(noise_m: float) -> None:
+    """Near enough not to take noise for a misfit of the model."""
     found = scan_of(*scanned(7, noise_m)).local_noise_m
-    assert 0.85 * noise_m < found < 1.15 * noise_m
+    assert noise_m / MISFIT < found < 1.15 * noise_m
+
+
+def test_properties_few_points_tell_no_more_of_the_noise_from_farther_away() -> None:
+    points, normals = (a[:1500] for a in scanned(7, 1e-3))
+    few = scan_of(points, normals)
+    assert few.local_noise_m == few._scatter_m(12)[0]
 
 
 def test_edge_bad_points_are_dropped_and_counted() -> None:

@@ -29,8 +29,8 @@ from synthgen.registration.verdict import Judgement
 from synthgen.sampling.sequence import PoseSequence, SequenceSettings, sample_sequence
 from synthgen.sampling.streams import stream
 from tests.registration import hands
-from tests.registration.test_fit import swollen
 from tests.registration.hands import surface, truth
+from tests.registration.test_fit import swollen
 
 FRAMES, GAP = 5, (1, 3)
 EMPTY = (np.zeros((0, 3)), np.zeros((0, 3)))
