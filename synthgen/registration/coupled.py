@@ -27,6 +27,7 @@ from synthgen.registration.free_mesh import (
     quadratic,
 )
 from synthgen.registration.scan import Scan
+from synthgen.registration.solver import equations
 from synthgen.registration.surface import Placed, Surface
 from synthgen.registration.terms import Term
 
@@ -198,8 +199,9 @@ def _alternate(
     slope = np.zeros(surface.n)
     for term in priors:
         for block in term.blocks(placed, term.match(placed)):
-            hessian += block.rows.T @ (block.weight[:, None] * block.rows)
-            slope += block.rows.T @ (block.weight * block.residual)
+            own = equations(block)
+            hessian += own[0]
+            slope += own[1]
     hessian += 1e-9 * np.diag(hessian.diagonal())
     step, model = np.zeros(surface.n), placed.vertices
     for _ in range(settings.follow):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
-from synthgen.registration.terms import Sums, Term
+from synthgen.registration.terms import Block, Sums, Term
 
 Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
@@ -57,32 +57,33 @@ class Energy:
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
             for block in term.blocks(trial.placed, match):
-                if isinstance(block, Sums):
-                    hessian += block.hessian
-                    gradient += block.gradient
-                    continue
-                if n >= SPARSE_FROM:
-                    normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
-                    continue
-                for k in range(0, len(block.rows), CHUNK):
-                    part = slice(k, k + CHUNK)
-                    root = np.sqrt(block.weight[part])
-                    rows = block.rows[part] * root[:, None]
-                    hessian += rows.T @ rows
-                    gradient += rows.T @ (root * block.residual[part])
-        if n >= SPARSE_FROM:
-            hessian += np.tril(hessian, -1).T
+                own = equations(block)
+                hessian += own[0]
+                gradient += own[1]
         return hessian, gradient
+
+
+def equations(block: Block | Sums) -> tuple[Array, Array]:
+    """Return J^T W J (n, n) and J^T W r (n,) of a block of residuals."""
+    if isinstance(block, Sums):
+        return block.hessian, block.gradient
+    n = block.rows.shape[1]
+    hessian, gradient = np.zeros((n, n)), np.zeros(n)
+    if n >= SPARSE_FROM:
+        normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
+        return hessian + np.tril(hessian, -1).T, gradient
+    for k in range(0, len(block.rows), CHUNK):
+        part = slice(k, k + CHUNK)
+        root = np.sqrt(block.weight[part])
+        rows = block.rows[part] * root[:, None]
+        hessian += rows.T @ rows
+        gradient += rows.T @ (root * block.residual[part])
+    return hessian, gradient
 
 
 def gram(rows: Array, weight: Array) -> Array:
     """Return J^T W J (n, n) of rows (m, n) and weights (m,)."""
-    n = rows.shape[1]
-    if n >= SPARSE_FROM:
-        result, unused = np.zeros((n, n)), np.zeros(n)
-        normal_sums(rows, weight, np.zeros(len(rows)), result, unused)
-        return result + np.tril(result, -1).T
-    return np.asarray(rows.T @ (weight[:, None] * rows))
+    return equations(Block(np.zeros(len(rows)), rows, weight))[0]
 
 
 @dataclass(frozen=True, eq=False)
