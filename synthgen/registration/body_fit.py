@@ -33,6 +33,8 @@ from synthgen.registration.verdict import Judgement
 Array = NDArray[np.float64]
 # Estimating normals costs more than the fit; fewer points would be coarser than fingers.
 ESTIMATED = 150_000
+# Scans of hands are smoothed and webbed: so many of their points err as one.
+HAND_TOGETHER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,13 +229,15 @@ def judged(search: BodySearch, outcome: Outcome) -> BodyCandidate:
 
 def spread(search: BodySearch, placed: BodyPlaced) -> Array:
     """Return the covariance (n, n) of the parameters at the end of the last stage."""
-    priors, stage = search.priors, schedule.LAST
+    priors, stage = search.priors, replace(schedule.LAST, betas=None)
     crops = schedule.hand_crops(placed, search.scan)
     known = [*priors.terms(), *search.extra]
-    energy = Energy(
-        priors.surface, schedule.body_terms(priors.surface, search.scan, stage, known, crops)
-    )
-    return covariance(energy, energy.at(placed.x), basis=schedule.basis_of(priors, stage))
+    terms = schedule.body_terms(priors.surface, search.scan, stage, known, crops)
+    energy = Energy(priors.surface, terms)
+    trial = energy.at(placed.x)
+    together = np.ones(len(trial.matches[0].squared))
+    together[min(stage.points, len(search.scan.points)) :] = HAND_TOGETHER
+    return covariance(energy, trial, basis=schedule.basis_of(priors, stage), together=together)
 
 
 def _freed(search: BodySearch, chosen: BodyCandidate) -> Array:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from synthgen.models.joints import SIDES
 from synthgen.registration.body_prior import STILL, BodyPriors
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
+from synthgen.registration.inspection import LEAST_POINTS
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.schedule import Stage
 from synthgen.registration.solver import Energy, Outcome, minimise
@@ -65,7 +66,10 @@ CLOSE = BodyStage(2000, 10, 15 * MM, 60 * MM, 0.2, 3 * MM, 1500, 0.05, 0.2, 60 *
 NEAR = BodyStage(3000, 10, 6 * MM, 25 * MM, 0.4, 2 * MM, 3000, 0.02, 0.1, 25 * MM,
                  hand_points=600, looked=500, free="pca")  # fmt: skip
 FINE = BodyStage(6000, 10, 3 * MM, 12 * MM, 0.5, 1 * MM, 6000, hand_points=1500, free="pca")
-LAST = replace(FINE, iterations=6, free="all")
+# Hands are scanned worse than the rest: smoothed, they would make the whole body thin. The shape is
+# that of the points farther from them.
+SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
+LAST = replace(FINE, iterations=6, free="all", betas=0)
 
 
 def basis_of(priors: BodyPriors, stage: BodyStage) -> Array:
@@ -120,6 +124,15 @@ def hand_crops(placed: BodyPlaced, scan: Scan, margin_m: float = MARGIN_M) -> tu
     left, right = (_crop(placed.vertices[hand_vertices(placed.surface, side)], scan, margin_m)
                    for side in SIDES)  # fmt: skip
     return left, right
+
+
+def without_hands(placed: BodyPlaced, scan: Scan) -> Scan | None:
+    """Return the points that are no hand's; None if there are hardly any."""
+    others = np.ones(len(scan.points), dtype=bool)
+    others[np.concatenate(hand_crops(placed, scan, HANDS_M))] = False
+    if others.sum() < LEAST_POINTS:
+        return None
+    return replace(scan, points=scan.points[others], normals=scan.normals[others])
 
 
 def _crop(hand: Array, scan: Scan, margin_m: float) -> Ids:

@@ -87,11 +87,27 @@ class BodySearch:
         """Run the last stages."""
         began = time.process_time()
         crops = hand_crops(self.surface.at(x), self.scan)
-        for stage in (schedule.NEAR, schedule.FINE, schedule.LAST):
-            outcome = self.stage(x, stage, crops)
-            x = outcome.x
+        for stage in (schedule.NEAR, schedule.FINE):
+            x = self.stage(x, stage, crops).x
+        outcome = self.stage(self.shaped(x), schedule.LAST, crops)
         self._spent("finish", began)
         return outcome
+
+    def shaped(self, x: Array) -> Array:
+        """Fit the shape to the points that are no hand's, fingers and wrists held.
+
+        Hands are scanned worse than the rest: smoothed, they would make the whole body thin.
+        """
+        own = schedule.without_hands(self.surface.at(x), self.scan)
+        if own is None:
+            return x
+        terms = [*self.priors.terms(), *self.extra]
+        basis = basis_of(self.priors, schedule.SHAPE)
+        for side in SIDES:
+            s = self.surface
+            held = np.concatenate([np.r_[s.hands[side]], np.r_[s.joint(f"{side}_wrist")]])
+            basis = basis[:, ~basis[held].any(axis=0)]
+        return run_body_stage(self.surface, own, x, schedule.SHAPE, terms, basis).x
 
     def again(self, x: Array, sides: Sequence[str]) -> Outcome:
         """Search some hands once more and longer, the rest of the body being in its place."""

@@ -37,7 +37,7 @@ MISFIT, MISFIT_UNEXPLAINED = 1.3, 0.15
 HAND_COVERED = 0.65
 FAR, NOISE_M, SHAPE_SD = 0.2, 4e-3, 4.0
 # Heads have inner parts that nobody sees: mouth, eyes.
-SD95_M, HAND_SD95_M, SD_PER_NOISE = 4e-3, 3e-3, 3.0
+SD95_M, HAND_SD95_M, SD_PER_NOISE = 4e-3, 4e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ class _Held:
 
 
 def covariance(
-    energy: Energy, trial: Trial, *, basis: Array | None = None, together: float = 1.0
+    energy: Energy, trial: Trial, *, basis: Array | None = None, together: float | Array = 1.0
 ) -> Array:
     """Return the covariance (n, n) of the parameters at a minimum.
 
@@ -76,15 +76,15 @@ def covariance(
         The minimum, with its matches.
     basis : (n, p) or None
         Directions that were free; the others are known.
-    together : float
-        How many points err as one: 1 for independent noise.
+    together : float or (m,)
+        How many points err as one, of all or of each point: 1 for independent noise.
     """
     n = energy.surface.n
     free = np.eye(n) if basis is None else basis
     data, held = _Sums(*np.zeros((3, n, n))), []
     for term, match in zip(energy.terms, trial.matches, strict=True):
         if isinstance(term, ScanToMesh):
-            _add_points(data, term, trial.placed, match)
+            _add_points(data, term, trial.placed, match, together)
         elif isinstance(term, MeshToScan):
             _add_blocks(data, term.blocks(trial.placed, match))
         else:
@@ -96,7 +96,7 @@ def covariance(
     inverse = _inverse(slope + prior, weighed + prior)
     scales = np.array([one.least for one in held])
     for _ in range(ROUNDS if held else 1):
-        pull = together * spread + _weighted(held, scales, len(slope))
+        pull = spread + _weighted(held, scales, len(slope))
         found = inverse @ pull @ inverse
         scales = np.array([one.scale(found) for one in held])
     return np.asarray(free @ found @ free.T)
@@ -132,7 +132,9 @@ def _add_blocks(sums: _Sums, blocks: Sequence[Block]) -> None:
         sums.spread += gram(block.rows, (block.weight * block.residual) ** 2)
 
 
-def _add_points(sums: _Sums, term: ScanToMesh, placed: Placed, match: Pairs) -> None:
+def _add_points(
+    sums: _Sums, term: ScanToMesh, placed: Placed, match: Pairs, together: float | Array
+) -> None:
     """Add what points say along the normals; a part of them stands for all."""
     some = slice(0, POINTS)
     triangle, b, normal = match.triangle[some], match.barycentric[some], match.normal[some]
@@ -149,7 +151,8 @@ def _add_points(sums: _Sums, term: ScanToMesh, placed: Placed, match: Pairs) -> 
     falling = w * (1 - 4 * squared / (term.rho.sigma_m**2 + squared))
     sums.slope += known * (falling.sum() / max(w.sum(), 1e-300))
     part = min(POINTS / max(len(match.squared), 1), 1.0)
-    sums.spread += gram(rows, part * (w * residual) ** 2)
+    alike = np.broadcast_to(together, len(match.squared))[some][used]
+    sums.spread += gram(rows, part * alike * (w * residual) ** 2)
     few = slice(0, TURNING)
     turning, bend = normal_rows(placed, triangle[few], b[few], normal[few])
     # Within a radius of curvature; farther off, the closest point leaps to other skin.

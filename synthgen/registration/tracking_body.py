@@ -21,12 +21,14 @@ from synthgen.registration.body_fit import as_fit, body_scan, body_surface, fit_
 from synthgen.registration.body_prior import body_priors
 from synthgen.registration.body_schedule import (
     MM,
+    SHAPE,
     TREE_POINTS,
     BodyStage,
     basis_of,
     hand_crops,
     hand_vertices,
     run_body_stage,
+    without_hands,
 )
 from synthgen.registration.body_search import BodySearch
 from synthgen.registration.body_surface import BodyPlaced, BodySurface
@@ -50,9 +52,6 @@ STAGES = (
     BodyStage(2500, 3, 5 * MM, 25 * MM, 0.4, 1.5 * MM, 2500, hand_points=500),
     BodyStage(4000, 2, 3 * MM, 12 * MM, 0.5, 1 * MM, 5000, hand_points=800),
 )
-# Hands are scanned worse than the rest: smoothed, they would make the subject's hands thin. The
-# shape is that of the points farther from them.
-SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
 # A subject's template fades in over so much skin beside the hands.
 BLEND_M = 0.05
 # Zero-velocity prior: standard deviation of an angle from frame to frame; times as much for a hand
@@ -210,12 +209,10 @@ class _Run:
     def _shaped(self, x: Array) -> BodyPlaced:
         """Fit the shape to the points that are no hand's, fingers and wrists held."""
         kept = self.scan, self.crops, self.seen
-        others = np.ones(len(self.scan.points), dtype=bool)
-        others[np.concatenate(hand_crops(self.body.surface.at(x), self.scan, HANDS_M))] = False
-        if others.sum() < LEAST_POINTS:
+        others = without_hands(self.body.surface.at(x), self.scan)
+        if others is None:
             return self.body.surface.at(x)
-        points, normals = self.scan.points[others], self.scan.normals[others]
-        self.scan = replace(self.scan, points=points, normals=normals)
+        self.scan = others
         self.crops, self.seen = [], ()
         placed = self.stage(x, SHAPE)
         self.scan, self.crops, self.seen = kept

@@ -16,6 +16,7 @@ from synthgen.registration.body_fit import start_vector
 from synthgen.registration.body_statistics import PARTS, part_of_vertex
 from synthgen.registration.coupled import couple
 from synthgen.registration.simulated import ScanSettings, simulate_scan
+from synthgen.registration.simulated_body import BodyScanSettings, simulate_body_scan
 from tests.registration import hands
 from tests.registration.bodies import (
     NAMES,
@@ -107,12 +108,43 @@ def test_properties_half_a_hand_does_not_pass_as_a_whole() -> None:
         assert "left_hand" in found.reason
 
 
+def calibration(found: Fit, truth: np.ndarray) -> tuple[float, float]:
+    """RMS error over RMS predicted error, of the body without hands and of the hands."""
+    off = np.linalg.norm(found.vertices - truth, axis=1)
+    hand = np.isin(part_of_vertex(model()), [k for k, p in enumerate(PARTS) if "hand" in p])
+    body, hands = (
+        float(np.sqrt(np.mean(off[own] ** 2) / np.mean(found.vertex_sd_m[own] ** 2)))
+        for own in (~hand, hand)
+    )
+    return body, hands
+
+
 def test_properties_predicted_sd_belongs_to_the_error() -> None:
-    found, own = cold(), part_of_vertex(model())
-    off = np.linalg.norm(found.vertices - surface().at(truth()).vertices, axis=1)
-    body = np.isin(own, [k for k, part in enumerate(PARTS) if "hand" not in part])
-    ratio = np.sqrt(np.mean(off[body] ** 2)) / np.sqrt(np.mean(found.vertex_sd_m[body] ** 2))
-    assert 0.3 < ratio < 3
+    body, hands = calibration(cold(), surface().at(truth()).vertices)
+    assert 0.6 < body < 1.6
+    assert 0.6 < hands < 1.8
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("noise_m", [2e-4, 5e-4, 1e-3])
+def test_properties_predictions_are_calibrated(noise_m: float) -> None:
+    """Of hands too, which keep their own noise and are smoothed."""
+    found, settings = [], BodyScanSettings(noise_m=noise_m)
+    for k in range(12):
+        true = surface().at(truth(k)).vertices
+        scan = simulate_body_scan(model(), true, settings, rng=rng(f"calibration {k}"))
+        one = fit(scan.points, scan.normals, model())
+        if one.verdict != "fail":
+            found.append(calibration(one, true))
+    assert len(found) >= 10
+    body, hands = np.median(found, axis=0)
+    assert 0.8 < body < 1.25
+    assert 0.8 < hands < 1.25
+
+
+def test_properties_spoiled_hands_do_not_make_the_body_thin() -> None:
+    """They are smoothed; the shape is that of the rest."""
+    assert errors_mm(cold().vertices)["body"] < 0.45
 
 
 def test_properties_normals_may_be_missing() -> None:

@@ -57,7 +57,8 @@ def test_reference_what_stages_free(name: str) -> None:
         schedule.LOOSE: 6 + 5 + outer,
         schedule.CLOSE: 6 + 16 + outer + 12,
         schedule.FINE: 6 + nb + outer + 12 + ne,
-        schedule.LAST: 6 + nb + len(priors.joints) + 90 + ne,
+        schedule.SHAPE: 6 + nb + len(priors.joints) + 90 + ne,
+        schedule.LAST: 6 + len(priors.joints) + 90 + ne,
     }
     for stage, count in wanted.items():
         basis = schedule.basis_of(priors, stage)
