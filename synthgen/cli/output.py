@@ -37,19 +37,19 @@ class Result:
     def emit(self, as_json: bool) -> int:
         """Print to stdout and return the exit code."""
         if as_json:
-            typer.echo(json.dumps(_finite(self.payload), ensure_ascii=False, allow_nan=False))
+            typer.echo(json.dumps(finite(self.payload), ensure_ascii=False, allow_nan=False))
         else:
             for line in self.lines:
                 typer.echo(line)
         return self.code
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Return the same with null for NaN and infinity, which JSON lacks."""
     if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
+        return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
+        return [finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from synthgen.cli.options import CorpusDir, Json
-from synthgen.cli.output import DONE, FAILED, Result, columns
+from synthgen.cli.output import DONE, FAILED, Result, columns, finite
 
 if TYPE_CHECKING:
     from synthgen.verify.report import Failure, VerifyReport
@@ -178,7 +178,8 @@ def _word(cell: Cell) -> str:
 
 def _save(report: Path | None, payload: dict[str, Any]) -> None:
     if report is not None:
-        report.write_text(json.dumps(payload, indent=2) + "\n", encoding="utf-8")
+        text = json.dumps(finite(payload), indent=2, allow_nan=False)
+        report.write_text(text + "\n", encoding="utf-8")
 
 
 def _line(failure: Failure) -> str:
