@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
-from synthgen.registration.terms import Sums, Term
+from synthgen.registration.terms import ScanToMesh, Term
 
 Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
@@ -56,11 +56,11 @@ class Energy:
         n = self.surface.n
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
+            whole = term.sums(trial.placed, match) if isinstance(term, ScanToMesh) else None
+            if whole is not None:
+                hessian, gradient = hessian + whole[0], gradient + whole[1]
+                continue
             for block in term.blocks(trial.placed, match):
-                if isinstance(block, Sums):
-                    hessian += block.hessian
-                    gradient += block.gradient
-                    continue
                 if n >= SPARSE_FROM:
                     normal_sums(block.rows, block.weight, block.residual, hessian, gradient)
                     continue
