@@ -89,8 +89,7 @@ def covariance(
             _add_blocks(data, term.blocks(trial.placed, match))
         else:
             least = FOREIGN if isinstance(term, MixturePrior) else 1.0
-            blocks = term.blocks(trial.placed, match)
-            held += [_held(b, free, least) for b in blocks if isinstance(b, Block)]
+            held += [_held(b, free, least) for b in term.blocks(trial.placed, match)]
     weighed, slope, spread = (free.T @ m @ free for m in (data.weighed, data.slope, data.spread))
     prior = _weighted(held, np.ones(len(held)), len(slope))
     inverse = _inverse(slope + prior, weighed + prior)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthgen.registration.body_kernels import normal_sums
 from synthgen.registration.surface import Placed, Surface
-from synthgen.registration.terms import Block, Sums, Term
+from synthgen.registration.terms import Block, ScanToMesh, Term
 
 Array = NDArray[np.float64]
 Method = Literal["lm", "dogleg"]
@@ -56,17 +56,18 @@ class Energy:
         n = self.surface.n
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         for term, match in zip(self.terms, trial.matches, strict=True):
+            whole = term.sums(trial.placed, match) if isinstance(term, ScanToMesh) else None
+            if whole is not None:
+                hessian, gradient = hessian + whole[0], gradient + whole[1]
+                continue
             for block in term.blocks(trial.placed, match):
                 own = equations(block)
-                hessian += own[0]
-                gradient += own[1]
+                hessian, gradient = hessian + own[0], gradient + own[1]
         return hessian, gradient
 
 
-def equations(block: Block | Sums) -> tuple[Array, Array]:
+def equations(block: Block) -> tuple[Array, Array]:
     """Return J^T W J (n, n) and J^T W r (n,) of a block of residuals."""
-    if isinstance(block, Sums):
-        return block.hessian, block.gradient
     n = block.rows.shape[1]
     hessian, gradient = np.zeros((n, n)), np.zeros(n)
     if n >= SPARSE_FROM:

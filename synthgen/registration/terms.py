@@ -8,7 +8,6 @@ by losing points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -33,14 +32,6 @@ class Block:
     weight: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Many residuals, summed already: J^T W J (n, n) and J^T W r (n,)."""
-
-    hessian: Array
-    gradient: Array
-
-
 class Term(Protocol):
     """One summand of the energy."""
 
@@ -50,7 +41,7 @@ class Term(Protocol):
     def cost(self, placed: Placed, match: Any) -> float:
         """Return the robust cost."""
 
-    def blocks(self, placed: Placed, match: Any) -> Sequence[Block | Sums]:
+    def blocks(self, placed: Placed, match: Any) -> list[Block]:
         """Linearise the residuals at a match."""
 
 
@@ -128,11 +119,16 @@ class ScanToMesh:
         """Return the weighted mean robust cost."""
         return self.weight * float(self.rho.cost(match.squared, match.kept).mean())
 
-    def blocks(self, placed: Placed, match: Pairs) -> Sequence[Block | Sums]:
+    def sums(self, placed: Placed, match: Pairs) -> tuple[Array, Array] | None:
+        """Return J^T W J and J^T W r at once, where points are so many that this is cheaper."""
+        if self.tangential > 0 or len(self.points) < placed.surface.summed_from:
+            return None
+        w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
+        return summed(placed, match, self.points, w)
+
+    def blocks(self, placed: Placed, match: Pairs) -> list[Block]:
         """Rows n . sum b dv/dx; with ``tangential`` also the three coordinates."""
         w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
-        if self.tangential == 0 and len(w) >= placed.surface.summed_from:
-            return [Sums(*summed(placed, match, self.points, w))]
         used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
         t, b, w = match.triangle[used], match.barycentric[used], w[used]
         corner = placed.vertices[t]
