@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from synthgen import __version__
 from synthgen.config import Config
 from synthgen.corpus import atomic, shards
-from synthgen.corpus.checksums import SEAL, file_sha256, seal_of
+from synthgen.corpus.checksums import CONFIG, SEAL, config_sha256, file_sha256, seal_of
 from synthgen.corpus.shards import Entry
 from synthgen.errors import IntegrityError
 from synthgen.models import load_hand
@@ -87,6 +87,7 @@ def write_manifest(corpus: Path) -> None:
         "samples": sum(len(part["samples"]) for part in parts),
         "views": table.num_rows,
         "shards": parts,
+        "config_sha256": config_sha256(corpus / CONFIG),
         "plan_bytes": plan.stat().st_size,
         "plan_sha256": file_sha256(plan),
     }

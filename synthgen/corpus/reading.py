@@ -96,8 +96,21 @@ class Corpus:
 
     @cached_property
     def table(self) -> pa.Table:
-        """One row per sample and view: key, shard, sampled factors, visibility counts."""
-        return pq.read_table(self.path / manifest.TABLE)
+        """One row per sample and view: key, shard, sampled factors, visibility counts.
+
+        Raises
+        ------
+        IntegrityError
+            If its file is missing or damaged.
+        """
+        file = self.path / manifest.TABLE
+        try:
+            return pq.read_table(file)
+        except (OSError, pa.ArrowException) as error:
+            raise IntegrityError(
+                f"{file} cannot be read ({error}); `synthgen generate` with the same arguments "
+                "writes it anew"
+            ) from None
 
     @property
     def shard_numbers(self) -> list[int]:

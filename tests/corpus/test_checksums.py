@@ -70,6 +70,12 @@ def test_edge_missing(corpus: Path, name: str) -> None:
     assert f"{corpus / name}" in complaints(corpus)
 
 
+def test_edge_a_table_that_is_none(corpus: Path) -> None:
+    (corpus / "samples.parquet").write_bytes(b"PAR1 and so on PAR1")
+    with pytest.raises(IntegrityError, match=r"samples\.parquet cannot be read.*writes it anew"):
+        _ = open_corpus(corpus).table
+
+
 def test_properties_a_longer_plan_is_no_damage(corpus: Path) -> None:
     write_plan(load_config("fixtures", ["samples=7", *SETTINGS]), corpus, progress=False)
     assert complaints(corpus) == ""
@@ -77,7 +83,7 @@ def test_properties_a_longer_plan_is_no_damage(corpus: Path) -> None:
 
 def test_edge_what_an_older_manifest_did_not_record(corpus: Path) -> None:
     manifest = json.loads((corpus / "MANIFEST.json").read_bytes())
-    for key in (SEAL, "files", "plan_bytes"):
+    for key in (SEAL, "files", "plan_bytes", "config_sha256"):
         del manifest[key]
     for entry in manifest["shards"]:
         del entry["sidecar_sha256"]
