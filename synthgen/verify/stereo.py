@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from synthgen.config import load_config
 from synthgen.corpus import Corpus
-from synthgen.corpus.plan import CONFIG
+from synthgen.corpus.checksums import CONFIG
 from synthgen.corpus.sample import Sample
 from synthgen.errors import SynthgenError
 from synthgen.geometry.cameras import Camera

@@ -302,15 +302,13 @@ def test_edge_no_hand_at_all_fails() -> None:
     assert found.verdict == "fail"
 
 
-@pytest.mark.parametrize("shape", ["three spots", "a line", "a plane", "a cube"])
+@pytest.mark.parametrize("shape", ["three spots", "a line"])
 def test_edge_what_is_no_surface_fails(shape: str) -> None:
     """No crash where nearly nothing determines a hand."""
     random = rng("no surface")
     points = {
         "three spots": np.repeat(random.random((3, 3)), 400, axis=0),
         "a line": random.random((1200, 1)) * [1, 0, 0],
-        "a plane": random.random((1200, 3)) * [1, 0.6, 0],
-        "a cube": random.random((1200, 3)),
     }[shape]
     found = fit(0.15 * points, None, model(), "cold", "right")
     assert found.verdict == "fail"

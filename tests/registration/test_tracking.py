@@ -30,7 +30,7 @@ from synthgen.sampling.sequence import PoseSequence, SequenceSettings, sample_se
 from synthgen.sampling.streams import stream
 from tests.registration import hands
 from tests.registration.hands import surface, truth
-from tests.registration.test_fit import swollen
+from tests.registration.test_fit import cold
 
 FRAMES, GAP = 5, (1, 3)
 EMPTY = (np.zeros((0, 3)), np.zeros((0, 3)))
@@ -305,12 +305,12 @@ def test_properties_a_hand_keeps_its_shape_whatever_it_starts_from() -> None:
     np.testing.assert_allclose(frame.x[hands.surface().shape], x[hands.surface().shape], atol=1e-9)
 
 
-def test_properties_a_missed_finger_still_tells_the_side() -> None:
-    points, normals = (a * [-1, 1, 1] for a in swollen(0))
+def test_properties_a_missed_finger_still_tells_the_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    missed = replace(cold(), verdict="fail", reason="finger_missed(index)", hand="left")
+    monkeypatch.setattr("synthgen.registration.tracking_hand.fit", lambda *_, **__: missed)
     follower = HandFollower(hands.model(), None)
-    found = follower.begin(points, normals, "cold")
-    assert found.reason == "finger_missed(index)"
-    assert (found.hand, follower.side) == ("left", "left")
+    follower.begin(*hands.scanned(), "cold")
+    assert follower.side == follower.asked == "left"
 
 
 def test_edge_arguments() -> None:
