@@ -83,28 +83,23 @@ def track(
     frames : iterable of (points (N, 3), normals (N, 3) or None)
         Metres, in order; read one at a time after the first few.
     model : BodyModel
-        SMPL+H or SUPR form, or a hand in MANO form; a subject's own template is a model with
-        another ``v_template``.
+        SMPL+H or SUPR form, or a hand in MANO form.
     start : "cold" or (shape, pose, translation)
         Of the first frame; see :func:`synthgen.registration.fit`.
     hand : "left", "right", "auto" or None
         Side of a hand model.
     shape : (nb,) or None
-        The subject's betas; None: estimated over the first frames.
-    first : int
-        How many frames that is.
+        The subject's betas; None: estimated over the ``first`` frames.
     template : bool or None
-        Track the subject's own template, from the same first frames (Eq. 20): the model's with an
-        offset, which fits carry in their ``model``. None: where these frames lie off the model by
-        more than their noise. Not with a given ``shape``.
+        Track the subject's own template, of the same frames (Eq. 20): the model's with an offset;
+        fits' ``model`` has it. None: where they lie off the model by more than their noise. Not
+        with a given ``shape``.
     coupled : bool
         Also free the mesh of every frame that is followed from the model (``free_vertices``).
     seed : int
         Of the order of points.
-    done : function of (int, Fit) or None
-        Called after every frame.
-    paused : function of Place or None
-        Called after ``done`` with all that the next frame needs to know.
+    done, paused : function of (int, Fit), and of Place
+        Called after every frame; a place is all that the next frame needs to know.
     resume : Place or None
         Go on from there; ``frames`` are those that are left.
 
@@ -120,21 +115,33 @@ def track(
     early = list(islice(upcoming, first))
     if not early:
         raise ShapeError("there are no frames; pass (points, normals) of at least one")
-    follower: Follower = (BodyFollower(model, seed) if model.hand is None
-                          else HandFollower(model, hand, seed))  # fmt: skip
-    began = time.process_time()
+    follower = BodyFollower(model, seed) if model.hand is None else HandFollower(model, hand, seed)
     with threadpool_limits(limits=1, user_api="blas"):
-        if resume is not None:
-            walk = _Walk.at(follower, start, resume)
-        elif shape is None:
-            walk = _acquainted(follower, early, start, template)
-        else:
-            walk = _Walk(follower, start, _given(shape, model))
-        spent = time.process_time() - began if resume is None else 0.0
-        walk.coupled, walk.shape_s = coupled, spent
-        fits = list(_followed(walk, chain(early, upcoming), done, paused))
+        walk = _begun(follower, early, start, shape, template, resume)
+        walk.coupled = coupled
+        return _walked(walk, _followed(walk, chain(early, upcoming), done, paused))
+
+
+def _begun(
+    follower: Follower, early: list[tuple[Any, Any]], start: Any, shape: Any,
+    template: bool | None, resume: Place | None,
+) -> _Walk:  # fmt: skip
+    """Return the sequence before its first frame, or where it stopped."""
+    if resume is not None:
+        return _Walk.at(follower, start, resume)
+    if shape is not None:
+        return _Walk(follower, start, _given(shape, follower.surface.model))
+    began = time.process_time()
+    walk = _acquainted(follower, early, start, template)
+    walk.shape_s = time.process_time() - began
+    return walk
+
+
+def _walked(walk: _Walk, steps: Iterator[Fit]) -> Track:
+    began = time.process_time()
+    fits = list(steps)
     betas = fits[-1].shape if walk.betas is None else walk.betas
-    report = _report(fits, spent, time.process_time() - began)
+    report = _report(fits, walk.shape_s, walk.shape_s + time.process_time() - began)
     return Track(tuple(fits), betas, fits[-1].model, report, walk.offset)
 
 

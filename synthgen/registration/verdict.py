@@ -35,7 +35,8 @@ MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 # Biased patches of a part that is right are chance (6e-5) and the fit's own small errors; where the
 # whole hand is biased, the model misfits everywhere and no part stands out.
 BIASED, BIASED_RATIO = 0.05, 5.0
-SD95_M, SD_PER_NOISE = 6e-4, 1.4
+# Of a pass, at a noise of up to the second; beyond it a limit grows as the noise does.
+SD95_M, USUAL_NOISE_M = 6e-4, 2e-4
 # A finger that is not there is known to 7-50 mm by what its neighbours and the prior say; whole
 # hands with 0.6 mm of unmodelled detail to 5 mm at worst (fists).
 HIDDEN_SD95_M = 6e-3
@@ -63,7 +64,7 @@ def sd_limit_m(noise_m: float, inflation: float = 1.0) -> float:
     It grows with the scan's noise and with a misfit of the model: ``unobserved`` is about what the
     scan shows, not about what the model lacks.
     """
-    return float(max(SD95_M, SD_PER_NOISE * noise_m) * np.sqrt(inflation))
+    return float((SD95_M + max(noise_m - USUAL_NOISE_M, 0.0)) * np.sqrt(inflation))
 
 
 def biased_parts(s: Statistics) -> tuple[str, ...]:
