@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.config import Config, config_hash, resolved_yaml
 from synthgen.corpus import atomic
+from synthgen.corpus.checksums import CONFIG
 from synthgen.corpus.manifest import engine
 from synthgen.corpus.threads import single_threaded_children
 from synthgen.errors import CorpusError
@@ -33,7 +34,6 @@ from synthgen.sampling.spec import SampleSpec
 PLAN = "plan.jsonl"
 PART = ".plan.jsonl.part"
 ENGINE = "engine.json"
-CONFIG = "config.resolved.yaml"
 CLAIMS = "claims"
 # Rows drawn at a time by a worker, and the fewest rows for which starting workers pays.
 CHUNK, WORTH_WORKERS = 32, 1000

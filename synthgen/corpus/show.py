@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from synthgen.config import Config, load_config
 from synthgen.corpus import atomic
+from synthgen.corpus.checksums import CONFIG
 from synthgen.corpus.columns import encode_view, key_of
 from synthgen.corpus.gallery import depth_picture, parts_picture, skeleton_picture
 from synthgen.corpus.manifest import rig_digests
-from synthgen.corpus.plan import CONFIG
 from synthgen.corpus.reading import Corpus, open_corpus
 from synthgen.corpus.runner import with_sensors
 from synthgen.corpus.sample import Sample

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.corpus import Corpus, manifest, shards
+from synthgen.corpus.checksums import CONFIG
 from synthgen.corpus.columns import Members, depth_steps, key_of, png
-from synthgen.corpus.plan import CONFIG, ENGINE, PLAN
+from synthgen.corpus.plan import ENGINE, PLAN
 from synthgen.corpus.sample import View
 from synthgen.corpus.scans import npy
 from synthgen.scanner import Scan
