@@ -80,7 +80,7 @@ def verify(
         verdict += f", but nothing is known of {', '.join(found.never_judged)}"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
     lines += [
-        f"not judged: {check}, {times} times of {times + found.judged[check]}: {reason}"
+        f"not judged: {check}, {times} of {times + found.judged[check]}: {reason}"
         for check, reasons in found.reasons().items()
         for reason, times in reasons.items()
     ]

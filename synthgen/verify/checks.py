@@ -44,10 +44,12 @@ _CROSS = np.array([[0.0, 0.0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 
 def check_view(report: VerifyReport, sample: Sample, view: View) -> None:
     """Run every check of one view that what is stored allows; the report counts what it lacks."""
-    again = redraw(sample, view)
+    camera = sample.spec.scene.cameras[view.meta["view"]]
+    rays = Rays(layers(sample, camera), camera)
+    again = redraw(rays.layers, camera)
     record = Record(report, sample.index, view.meta["view"])
     check_camera(record, sample, view)
-    check_keypoints(record, sample, view)
+    check_keypoints(record, sample, view, rays)
     for column in ("image", "depth", "labels"):
         if column not in view.columns:
             report.lacking[column] = report.lacking.get(column, 0) + 1
@@ -75,10 +77,8 @@ def check_camera(record: Record, sample: Sample, view: View) -> None:
     record.measure("camera rotation", skew, 1e-9, "T_world_from_camera is not rigid")
 
 
-def check_keypoints(record: Record, sample: Sample, view: View) -> None:
+def check_keypoints(record: Record, sample: Sample, view: View, rays: Rays) -> None:
     """Keypoints against the float64 reference, bones, chirality, limits, states."""
-    camera = sample.spec.scene.cameras[view.meta["view"]]
-    rays = Rays(layers(sample, camera), camera)
     K, T = view.camera.K, view.camera.T_world_from_camera
     for subject, hand in zip(sample.subjects, view.hands, strict=True):
         truth = _keypoints(subject)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.corpus.sample import Sample, Subject, View
+from synthgen.corpus.sample import Sample, Subject
 from synthgen.geometry.cameras import Camera
 from synthgen.geometry.raster import pierce, rasterise, split
 from synthgen.models import pose_surface
@@ -41,11 +41,9 @@ class Redrawn:
     depth_z_m: Array
 
 
-def redraw(sample: Sample, view: View) -> Redrawn:
-    """Draw every hand, what is worn and every thing of a view with the z-buffer."""
-    camera = sample.spec.scene.cameras[view.meta["view"]]
-    shape = (camera.height, camera.width)
-    return _nearest(layers(sample, camera), partial(rasterise, camera=camera), shape)
+def redraw(layered: Sequence[Layer], camera: Camera) -> Redrawn:
+    """Draw every hand, what is worn and every thing before a camera with the z-buffer."""
+    return _nearest(layered, partial(rasterise, camera=camera), (camera.height, camera.width))
 
 
 def pierced(layered: Sequence[Layer], camera: Camera, pixels: Array) -> Redrawn:

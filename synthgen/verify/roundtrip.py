@@ -199,6 +199,8 @@ def judged(index: int, number: int, subject: Subject, stored: StoredPoints, foun
     """Compare a fit with the truth."""
     truth = subject.vertices.astype(np.float64)
     figures = compare(subject, stored, found)
+    if found.reason == "no_points":  # nothing was fitted: nothing is off
+        figures = {name: figures[name] for name in ("coverage", "coverage_all", "floor_mm")}
     explained, by_part = truth_explained(subject, stored)
     figures["truth_explains"], figures["truth_explains_parts"] = explained, by_part
     limit = max(MISMATCH_FLOORS * figures["floor_mm"], 1e3 * MISMATCH_M)

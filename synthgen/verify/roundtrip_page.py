@@ -17,6 +17,7 @@ from synthgen.verify.roundtrip import HandTrip, RoundTrip
 
 Array = NDArray[np.float64]
 PICTURES = 40
+FAR_M = 0.3  # what looks at a fit does not see a truth beyond
 
 
 def write_page(path: Path, trip: RoundTrip, title: str, labels: VerifyReport | None = None) -> None:
@@ -54,7 +55,7 @@ def _labels(report: VerifyReport) -> str:
     lines = [f"<p><b>Labels: {found}</b>, {report.views} views of {report.samples} samples.</p>"]
     told = [f"sample {f.sample}, view {f.view}: {f.check}: {f.message} ({f.value:.4g}, at most "
             f"{f.limit:.4g})" for f in report.failures[:PICTURES]]  # fmt: skip
-    told += [f"not judged: {check}, {times} times of {times + report.judged[check]}: {reason}"
+    told += [f"not judged: {check}, {times} of {times + report.judged[check]}: {reason}"
              for check, reasons in report.reasons().items()
              for reason, times in reasons.items()]  # fmt: skip
     items = "".join(f"<li>{html.escape(line)}</li>" for line in told)
@@ -78,9 +79,13 @@ def _card(hand: HandTrip) -> str:
     points = np.zeros((0, 3)) if hand.points is None else hand.points
     title = f"sample {hand.sample}, hand {hand.hand_number}: {hand.verdict} {hand.reason}"
     faces, seen_like = hand.fit.model.faces, hand.fit.vertices
-    shown = [_picture(points, hand.fit.vertices, faces, "as fitted", seen_like)]
+    shown = []
+    if hand.fit.reason != "no_points":
+        shown.append(_picture(points, hand.fit.vertices, faces, "as fitted", seen_like))
     if hand.verdict != "pass" and hand.truth is not None:
-        shown.append(_picture(points, hand.truth, faces, "as it truly was", seen_like))
+        far = np.linalg.norm(seen_like.mean(axis=0) - hand.truth.mean(axis=0)) > FAR_M
+        sides = hand.truth if far else seen_like
+        shown.append(_picture(points, hand.truth, faces, "as it truly was", sides))
     told = html.escape(str(hand.fit.report.get("message") or ""))
     caption = f"<figcaption><b>{html.escape(title.strip())}</b> {told}</figcaption>"
     return f"<figure>{caption}<div>{''.join(shown)}</div></figure>"
@@ -129,7 +134,7 @@ lie on the true surface
 </tbody></table>
 <p>{pictured}Left to right in each picture: the stored points; points over the surface; the surface
 coloured by their distance (green 0, red 1 mm and more, grey not seen). What did not pass is shown
-twice, from the same sides.</p>
+twice, from the same sides if they are near one another.</p>
 {cards}
 </html>
 """

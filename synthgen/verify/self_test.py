@@ -47,7 +47,7 @@ WITNESSES = {
     "side": "the plan",
     "joint limits": "anatomical ranges",
     "keypoint frame": "projection and frame size",
-    "visible": "z-buffer, not Mitsuba",
+    "visible": "rays at triangles, not Mitsuba",
     "mask": "z-buffer, not Mitsuba",
     "part": "instances",
     "object part": "the plan",

@@ -17,6 +17,8 @@ from synthgen.verify.checks import chirality
 from synthgen.verify.draft import Draft
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.report import VerifyReport
+from synthgen.verify.roundtrip import round_trip
+from synthgen.verify.roundtrip_page import write_page
 from synthgen.verify.self_test import PRODUCTS, cell, judged
 
 
@@ -150,7 +152,7 @@ def test_edge_what_cannot_be_judged_is_said(
     assert main(["verify", str(tiny_path)]) == 0
     said = capsys.readouterr().out
     assert "ok, but nothing is known of normals, stale image" in said
-    assert "not judged: normals, 2 times of 2: fewer than 50 pixels lie on smooth surface" in said
+    assert "not judged: normals, 2 of 2: fewer than 50 pixels lie on smooth surface" in said
 
 
 def test_edge_a_defect_that_cannot_be_judged_is_no_miss(tiny_path: Path) -> None:
@@ -163,6 +165,17 @@ def test_edge_a_defect_that_cannot_be_judged_is_no_miss(tiny_path: Path) -> None
     name = "hidden keypoints called visible"
     found = cell(corpus, name, FAULTS[name], "RGB", 2)
     assert (found.caught, found.of) == (2, 2), found
+
+
+def test_edge_too_few_points_are_no_error_of_the_fit(tiny_path: Path, tmp_path: Path) -> None:
+    trip = round_trip(tiny_path, "gt")
+    assert [(hand.verdict, hand.reason) for hand in trip.trips] == 2 * [("fail", "no_points")]
+    assert trip.ok
+    assert not any("v2v_mean_mm" in hand.figures for hand in trip.trips)
+    write_page(tmp_path / "trip.html", trip, "tiny")
+    page = (tmp_path / "trip.html").read_text()
+    assert "as fitted<img" not in page
+    assert "at least 200 are needed" in page
 
 
 def test_reference_a_missed_defect_is_no_pass(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +82,17 @@ def test_smoke_report_and_page(trip: RoundTrip, tmp_path: Path) -> None:
     assert page.count("<figure>") == 3
     assert "a &lt;corpus&gt;" in page
     assert "sample 3, view 0: mask: pixels differ (9, at most 2)" in page
-    assert "not judged: normals, 1 times of 1: too few pixels" in page
+    assert "not judged: normals, 1 of 1: too few pixels" in page
     unsound = sum(hand.verdict != "pass" for hand in trip.trips)
     assert page.count("as it truly was<img") == unsound
+
+
+def test_edge_a_fit_far_from_the_truth_is_pictured(trip: RoundTrip, tmp_path: Path) -> None:
+    hand = trip.trips[0]
+    assert hand.truth is not None
+    lost = replace(hand, verdict="fail", reason="far", truth=hand.truth + [0, 0, 2.0])
+    write_page(tmp_path / "trip.html", RoundTrip("gt", [lost]), "far")
+    assert (tmp_path / "trip.html").read_text().count("<img") == 2
 
 
 @pytest.mark.parametrize("name", ["mean pose dropped", "depth stored in millimetres",
