@@ -78,6 +78,8 @@ def fit(
             raise ConfigError(f"--preset {preset} is for single scans; leave it out of --sequence")
         return fit_sequence(scans, out, model, hand, _start(start), coupled=coupled,
                             template=template, units=units, progress=not as_json)  # fmt: skip
+    if template != "auto":
+        raise ConfigError(f"--template {template} is for --sequence; a single scan has no frames")
     from synthgen.models import load
     from synthgen.registration import fit as register
     from synthgen.registration.inspection import expected_of

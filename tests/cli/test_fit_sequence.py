@@ -59,6 +59,7 @@ def test_smoke_a_sequence(
     [
         (["nowhere.ply"], "nowhere.ply: no such file; name the frames in their order"),
         (["--preset", "paper"], "--preset paper is for single scans"),
+        (["--template", "maybe"], "--template maybe; expected auto, yes, no"),
     ],
 )
 def test_edge_errors(
@@ -67,6 +68,13 @@ def test_edge_errors(
 ) -> None:  # fmt: skip
     assert main(["fit", frames[0], *words, "--sequence", "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_edge_a_single_scan_has_no_template(
+    frames: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", frames[0], "--template", "yes", "--out", str(tmp_path / "out")]) == 2
+    assert "--template yes is for --sequence" in capsys.readouterr().err
 
 
 @pytest.fixture
