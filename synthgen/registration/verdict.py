@@ -37,9 +37,9 @@ MISFIT, MISFIT_RATIO, MISFIT_UNEXPLAINED = 1.15, 2.5, 0.10
 BIASED, BIASED_RATIO = 0.05, 5.0
 # Of a pass, at a noise of up to the second; beyond it a limit grows as the noise does.
 SD95_M, USUAL_NOISE_M = 6e-4, 2e-4
-# A finger that is not there is known to 7-50 mm by what its neighbours and the prior say; whole
-# hands with 0.6 mm of unmodelled detail to 5 mm at worst (fists).
-HIDDEN_SD95_M = 6e-3
+# A finger that is not there is known to 9-50 mm by what its neighbours and the prior say; whole
+# hands with 0.6 mm of unmodelled detail to 9 mm at worst, but for fingers hidden in a fist.
+HIDDEN_SD95_M = 9e-3
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 PENDING = 0.01  # one more step would lower the energy by a hundredth: the solver was cut short
 

@@ -54,9 +54,9 @@ def one_bad(*parts: str) -> np.ndarray:
         ({"biased": np.full(6, np.nan)}, "pass", ""),
         ({"sd_m": np.full(100, 2e-3), "sd95_m": np.array([0, 0, 0, 2e-3, 0, 0])}, "unobserved",
          "hole(pinky)"),
-        ({"sd95_m": np.array([0, 0, 0, 0, 0, 8e-3]), "inflation": 1e3}, "unobserved",
+        ({"sd95_m": np.array([0, 0, 0, 0, 0, 11e-3]), "inflation": 1e3}, "unobserved",
          "hole(thumb)"),
-        ({"sd95_m": np.array([0, 0, 0, 0, 0, 4e-3]), "inflation": 1e3}, "pass", ""),
+        ({"sd95_m": np.array([0, 0, 0, 0, 0, 6e-3]), "inflation": 1e3}, "pass", ""),
     ],
 )  # fmt: skip
 def test_reference_verdicts(change: dict[str, Any], verdict: str, reason: str) -> None:
