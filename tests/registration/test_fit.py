@@ -164,7 +164,7 @@ def test_properties_keypoints_and_a_protocol_tell_of_a_hidden_finger() -> None:
         found = fit(*without_index(x), model(), perturbed(), "right", **given)
         off.append(1e3 * np.linalg.norm(found.vertices - placed.vertices, axis=1)[INDEX].mean())
     plain, keypoints, protocol = off
-    assert plain > 3
+    assert plain > 2
     assert keypoints < 0.75 * plain
     assert protocol < 0.25 * plain
 
