@@ -20,8 +20,8 @@ from synthgen.verify.report import Record
 
 Array = NDArray[np.float64]
 
-# Red over blue of the bluest skylight.
-SKY_HUE = 0.6
+# Red over blue of the bluest skylight; mean of a skin that has no hue.
+SKY_HUE, DARKEST = 0.6, 4
 # An edge is found where it changes more than 60 % of its surroundings do. Measured on 240 pictures
 # (plain and full, few light paths) and on as many with the labels of the next: share found plus
 # SHADING times the gain is over 0.75 for true labels, and under 0.62 for all but two foreign ones.
@@ -39,7 +39,9 @@ def check_image(record: Record, sample: Sample, view: View, again: Redrawn) -> N
             record.skip(check, f"fewer than {FEWEST_SKIN} pixels show skin")
         return
     mean = view.image[skin].astype(np.float64).mean(axis=0)
-    if _redness(sample) > 1.1:
+    if mean.max() < DARKEST:
+        record.skip("skin hue", f"skin is darker than {DARKEST} of 255")
+    elif _redness(sample) > 1.1:
         record.measure("skin hue", mean[2] - mean[0], 0.0,
                        "skin is bluer than red; channels swapped?")  # fmt: skip
     else:
