@@ -285,6 +285,8 @@ def _normal_error(view: View, depth_z_m: NDArray[Any], inner: NDArray[np.bool_])
     p = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=-1)
     dx, dy = p[2:-2, 4:] - p[2:-2, :-4], p[4:, 2:-2] - p[:-4, 2:-2]
     smooth = (np.abs(dx[..., 2]) < 4e-3) & (np.abs(dy[..., 2]) < 4e-3) & inner[2:-2, 2:-2]
+    # Across a thin tip both neighbours may be background.
+    smooth &= (z[2:-2, 4:] > 0) & (z[4:, 2:-2] > 0)
     if smooth.sum() < FEWEST_SMOOTH:
         return None
     n = np.cross(dy, dx)[smooth]

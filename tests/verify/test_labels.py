@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
 from synthgen.errors import CorpusError
 from synthgen.verify import verify
-from synthgen.verify.checks import chirality
+from synthgen.verify.checks import _normal_error, chirality
 from synthgen.verify.draft import Draft
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.report import VerifyReport
@@ -204,3 +206,13 @@ def test_edge_flipped_byte_is_named(tmp_path: Path) -> None:
     tar.write_bytes(bytes(data))
     report = verify(out)
     assert any(f.check == "checksum" and "image/000000.tar" in f.message for f in report.failures)
+
+
+def test_reference_normals_across_a_thin_tip_are_not_judged() -> None:
+    """Background on both sides of a finger's tip has no normal; the median was not a number."""
+    depth = np.zeros((40, 40))
+    depth[5:25, 5:25], depth[30:36, 10:11] = 0.5, 0.5
+    normals = np.broadcast_to([0.0, 0.0, -1.0], (40, 40, 3))
+    K = np.array([[50.0, 0, 20], [0, 50, 20], [0, 0, 1]])
+    view: Any = SimpleNamespace(camera=SimpleNamespace(K=K), normals=normals)
+    assert _normal_error(view, depth, depth > 0) == pytest.approx(0.0, abs=1e-3)
