@@ -245,7 +245,8 @@ def test_edge_a_bandaged_finger_is_missed() -> None:
 
 def test_edge_two_odd_fingers_may_be_swapped() -> None:
     found = fit(*swollen(0, 1), model(), perturbed(), "right")
-    assert (found.verdict, found.reason) == ("fail", "finger_swap(middle, index)")
+    assert found.verdict == "fail"
+    assert found.reason in ("finger_swap(middle, index)", "finger_swap(index, middle)")
 
 
 def test_edge_a_giant_shape_is_named() -> None:
