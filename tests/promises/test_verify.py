@@ -93,9 +93,8 @@ def test_properties_round_trip_of_depth(depth_path: Path) -> None:
     trip = round_trip(depth_path, "perturbed", TRIPS)
     assert trip.ok, [t.reason for t in trip.worst_first[:3]]
     assert explained_failures(trip)
-    # 44 of 60: on exact depth of one view, of a few thousand points, many fits do not converge.
     good = trip.counts.get("pass", 0) + trip.counts.get("unobserved", 0)
-    assert good >= 0.7 * TRIPS, trip.counts
+    assert good >= 0.85 * TRIPS, trip.counts
 
 
 @pytest.mark.prove

@@ -138,8 +138,7 @@ def test_properties_predictions_are_calibrated(noise_m: float) -> None:
             found.append(calibration(one, true))
     assert len(found) >= 10
     body, hands = np.median(found, axis=0)
-    # At 0.2 mm the body is better known than it says (0.65 of 12), which does no harm.
-    assert (0.6 if noise_m < 3e-4 else 0.8) < body < 1.25
+    assert 0.8 < body < 1.25
     assert 0.8 < hands < 1.25
 
 
