@@ -140,7 +140,7 @@ def _add_points(
     squared = match.squared[some]
     foot = np.einsum("mk,mka->ma", b, placed.vertices[triangle]) + match.shift[some]
     residual = np.sum((foot - term.points[some]) * normal, axis=1)
-    w = term.weight / max(len(squared), 1) * term.rho.weight(squared, match.kept[some])
+    w = term.point_weights(match, some) * len(match.squared) / max(len(squared), 1)
     used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
     triangle, b, normal = triangle[used], b[used], normal[used]
     w, residual, squared = w[used], residual[used], squared[used]

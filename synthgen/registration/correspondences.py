@@ -13,6 +13,8 @@ from synthgen.registration.free_mesh import walked_to
 from synthgen.registration.surface import Placed
 
 Array = NDArray[np.float64]
+# Half the width of a ramp of cosines, and of weights on inner vertices, over which a pair comes in.
+SOFT, INNER = 0.15, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,11 @@ class Pairs:
     squared : (m,) metres^2
     kept : (m,) bool, near enough, facing alike, not off the rim
     rim : (m,) bool, closest point on an open boundary
+    trust : (m,) in 0..1
+        Near enough and facing alike, without a step at the limit: an energy that leaps when a
+        point comes in refuses steps that are right.
+    inner : (m,) in 0..1
+        0 on the rim, 1 a third of a triangle away from it.
     """
 
     face: NDArray[np.int64]
@@ -37,6 +44,8 @@ class Pairs:
     squared: Array
     kept: NDArray[np.bool_]
     rim: NDArray[np.bool_]
+    trust: Array
+    inner: Array
 
     @property
     def corner(self) -> NDArray[np.int64]:
@@ -61,9 +70,9 @@ def closest(
     ``start`` (m,) are vertices near the closest points, -1 where not known: a walk from there is
     much cheaper than a search.
 
-    ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008):
-    0.75 is close to a smooth surface through the vertices, which is what a renderer draws and what
-    skin is.
+    ``curved`` blends from flat triangles (0) to Phong tessellation (1; Boubekeur and Alexa 2008).
+    To second order that rises twice as high over a triangle as the smooth surface through its
+    vertices with their normals: 0.5 is that surface, which a renderer draws and which skin is.
     """
     s = placed.surface
     if start is None:
@@ -76,20 +85,28 @@ def closest(
     triangle = s.faces[face]
     barycentric, normal = np.empty((len(points), 3)), np.empty((len(points), 3))
     agree, shift = np.empty(len(points)), np.empty((len(points), 3))
-    rim = np.empty(len(points), dtype=np.bool_)
-    _attributes(placed.vertices, placed.normals, triangle, point, normals,
-                s.rim, curved, points, barycentric, shift, squared, normal, agree, rim)  # fmt: skip
+    inner = np.empty(len(points))
+    _attributes(placed.vertices, placed.normals, triangle, point, normals, s.rim, curved, points,
+                barycentric, shift, squared, normal, agree, inner)  # fmt: skip
+    rim = inner < 1e-9
     kept = (squared < cut_m**2) & (agree > cosine) & ~rim
-    return Pairs(face, triangle, barycentric, shift, normal, squared, kept, rim)
+    trust = np.where(squared < cut_m**2, ramp(agree, cosine), 0)
+    inner = np.minimum(inner / INNER, 1)
+    return Pairs(face, triangle, barycentric, shift, normal, squared, kept, rim, trust, inner)
+
+
+def ramp(cosines: Array, limit: float) -> Array:
+    """Return 0 well below a limit of cosines and 1 well above it."""
+    return np.clip(0.5 + (cosines - limit) / (2 * SOFT), 0, 1)
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def _attributes(
     vertices: Any, vertex_normals: Any, triangle: Any, point: Any, scan_normals: Any, rim: Any,
     curved: float, scan: Any, barycentric: Any, shift: Any, squared: Any, normal: Any, agree: Any,
-    on_rim: Any,
+    inner: Any,
 ) -> None:  # fmt: skip
-    """Barycentrics of points on triangles, Phong normals, cosines, and whether on an open edge."""
+    """Barycentrics of points on triangles, Phong normals, cosines, weights on inner vertices."""
     for i in range(len(triangle)):
         a, b, c = triangle[i, 0], triangle[i, 1], triangle[i, 2]
         uu, uv, vv, wu, wv = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -130,8 +147,4 @@ def _attributes(
             squared[i] = total
         else:
             shift[i] = 0.0
-        inner = 0.0  # weight on vertices that are not on the rim
-        inner += 0.0 if rim[a] else z
-        inner += 0.0 if rim[b] else x
-        inner += 0.0 if rim[c] else y
-        on_rim[i] = inner < 1e-9
+        inner[i] = (0.0 if rim[a] else z) + (0.0 if rim[b] else x) + (0.0 if rim[c] else y)

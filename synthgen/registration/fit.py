@@ -83,7 +83,7 @@ def fit(
     pose_prior : ((K, 3) axis-angle of the fitted side, sd_rad) or None
         A protocol's known pose.
     curved : float
-        0: the scanned surface is the model's flat triangles; 0.75: smooth, as renderers draw it.
+        0: the scanned surface is the model's flat triangles; 0.5: smooth, as renderers draw it.
     seed : int
         Of the order of points.
 

@@ -14,13 +14,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.registration.correspondences import Pairs, closest
+from synthgen.registration.correspondences import Pairs, closest, ramp
 from synthgen.registration.mesh_sums import summed
 from synthgen.registration.scan import Scan, nearest
 from synthgen.registration.surface import Placed, Surface
 
 Array = NDArray[np.float64]
 Where = slice | NDArray[np.int64]
+LEAST_INSIDE = 0.5  # share of points that a sound placement has within an open rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +52,15 @@ class GemanMcClure:
 
     sigma_m: float
 
-    def cost(self, squared: Array, kept: NDArray[np.bool_]) -> Array:
-        """Cost (m,) of squared distances; the plateau where not kept."""
+    def cost(self, squared: Array, trust: Array) -> Array:
+        """Cost (m,) of squared distances; the plateau where a pair is not trusted (0..1)."""
         s2 = self.sigma_m**2
-        return np.where(kept, s2 * squared / (s2 + squared), s2)
+        return s2 * (1 - trust * s2 / (s2 + squared))
 
-    def weight(self, squared: Array, kept: NDArray[np.bool_]) -> Array:
-        """Weight (m,) of iterated least squares, d rho / d(d^2); 0 where not kept."""
+    def weight(self, squared: Array, trust: Array) -> Array:
+        """Weight (m,) of iterated least squares, d rho / d(d^2); 0 where not trusted."""
         s2 = self.sigma_m**2
-        return np.where(kept, (s2 / (s2 + squared)) ** 2, 0.0)
+        return trust * (s2 / (s2 + squared)) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +117,32 @@ class ScanToMesh:
         return found
 
     def cost(self, placed: Placed, match: Pairs) -> float:
-        """Return the weighted mean robust cost."""
-        return self.weight * float(self.rho.cost(match.squared, match.kept).mean())
+        """Return the weighted mean robust cost of the points within the rim.
+
+        Those beyond it (a wrist's, a neck's) say nothing: were they to cost anything, the rim
+        would be pulled over them. But where most points are beyond it, the others' cost is the
+        plateau's.
+        """
+        inside, most = float(match.inner.sum()), len(match.inner) * LEAST_INSIDE
+        total = float(match.inner @ self.rho.cost(match.squared, match.trust))
+        total += max(most - inside, 0.0) * self.rho.sigma_m**2
+        return self.weight * total / max(inside, most)
+
+    def point_weights(self, match: Pairs, some: slice = slice(None)) -> Array:
+        """Return the weights (m,) of the points' squared distances."""
+        inside = max(float(match.inner.sum()), len(match.inner) * LEAST_INSIDE)
+        robust = self.rho.weight(match.squared[some], match.trust[some])
+        return self.weight / max(inside, 1.0) * match.inner[some] * robust
 
     def sums(self, placed: Placed, match: Pairs) -> tuple[Array, Array] | None:
         """Return J^T W J and J^T W r at once, where points are so many that this is cheaper."""
         if self.tangential > 0 or len(self.points) < placed.surface.summed_from:
             return None
-        w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
-        return summed(placed, match, self.points, w)
+        return summed(placed, match, self.points, self.point_weights(match))
 
     def blocks(self, placed: Placed, match: Pairs) -> list[Block]:
         """Rows n . sum b dv/dx; with ``tangential`` also the three coordinates."""
-        w = self.weight / len(self.points) * self.rho.weight(match.squared, match.kept)
+        w = self.point_weights(match)
         used = np.flatnonzero(w > 1e-4 * w.max(initial=0.0))
         t, b, w = match.triangle[used], match.barycentric[used], w[used]
         corner = placed.vertices[t]
@@ -163,15 +177,15 @@ class MeshToScan:
     visible: NDArray[np.bool_] | None = None
     some: NDArray[np.int64] | None = None
 
-    def match(self, placed: Placed) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-        """Nearest scan points, squared distances, and which pairs count."""
+    def match(self, placed: Placed) -> tuple[NDArray[np.int64], Array, Array]:
+        """Nearest scan points, squared distances, and how far pairs are trusted (0..1)."""
         own = slice(None) if self.some is None else self.some
         distance, near = nearest(self.scan.tree, placed.vertices[own])
         facing = np.sum(placed.normals[own] * self.scan.normals[near], axis=1)
-        kept = (distance < self.cut_m) & (facing > self.cosine) & ~placed.surface.rim[own]
+        used = (distance < self.cut_m) & ~placed.surface.rim[own]
         if self.visible is not None:
-            kept &= self.visible[own]
-        return near, distance**2, kept
+            used &= self.visible[own]
+        return near, distance**2, np.where(used, ramp(facing, self.cosine), 0)
 
     def cost(self, placed: Placed, match: Any) -> float:
         """Return the weighted mean robust cost."""
@@ -179,8 +193,8 @@ class MeshToScan:
 
     def blocks(self, placed: Placed, match: Any) -> list[Block]:
         """Rows n_scan . dv/dx."""
-        near, squared, kept = match
-        w = self.weight / len(squared) * self.rho.weight(squared, kept)
+        near, squared, trust = match
+        w = self.weight / len(squared) * self.rho.weight(squared, trust)
         used = np.flatnonzero(w)
         normal = self.scan.normals[near[used]]
         ids = used if self.some is None else self.some[used]

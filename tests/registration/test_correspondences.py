@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from synthgen.geometry.normals import vertex_normals
+from synthgen.geometry.subdivision import InterpolatingSubdivision
 from synthgen.registration.correspondences import closest
 from tests.registration.hands import rng, scan, surface, truth
 
@@ -32,3 +34,24 @@ def test_properties_points_beyond_the_wrist_pull_on_nothing() -> None:
     pairs = closest(placed, stump, outward, cut_m=0.1, cosine=-2.0)
     assert pairs.rim.mean() > 0.9
     assert not pairs.kept[pairs.rim].any()
+
+
+def test_reference_half_curved_is_the_smooth_surface_through_the_vertices() -> None:
+    """Beside interpolating subdivision: flat triangles lie inside it, Phong's whole bulge outside.
+
+    At 0.5 what is left is a seventh of their distance; at 0.75 it would be half.
+    """
+    placed = surface().at(truth())
+    smooth = InterpolatingSubdivision.build(surface().faces, len(placed.vertices))
+    points = smooth.apply(placed.vertices)
+    normals = vertex_normals(points, smooth.faces)
+    off = {}
+    for curved in (0.0, 0.5, 0.75, 1.0):
+        pairs = closest(placed, points, normals, cut_m=0.01, cosine=0.5, curved=curved)
+        foot = np.einsum("mk,mka->ma", pairs.barycentric, placed.vertices[pairs.triangle])
+        residual = np.sum((points - foot - pairs.shift) * pairs.normal, axis=1)
+        off[curved] = float(residual[pairs.kept & (pairs.inner == 1)].mean())
+    assert off[0.0] > 5e-5
+    assert abs(off[0.5]) < off[0.0] / 7
+    assert off[0.75] < -off[0.0] / 3
+    assert off[1.0] < -off[0.0] / 1.3

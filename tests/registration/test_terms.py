@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from synthgen.registration.correspondences import Pairs
+from synthgen.registration.correspondences import Pairs, closest
 from synthgen.registration.limit_term import LimitPrior, angle_slopes
 from synthgen.registration.prior import learned_prior
 from synthgen.registration.scan import Scan
@@ -27,6 +28,7 @@ from synthgen.sampling.limits import limits_of, to_angles
 from tests.registration.hands import model, rng, scan, surface, truth
 
 RHO = GemanMcClure(2e-3)
+Array = NDArray[np.float64]
 
 
 def near_truth() -> np.ndarray:
@@ -96,7 +98,7 @@ def test_properties_cost_is_zero_at_perfection() -> None:
 
 
 def test_reference_cost_of_the_scan_is_the_robust_mean_of_its_distances() -> None:
-    """Eq. 6 and 14 by libigl, from both sides of the cut."""
+    """Eq. 6 and 14 by libigl, from both sides of the cut; beyond the rim nothing is said."""
     import igl
 
     placed = surface().at(near_truth())
@@ -104,10 +106,64 @@ def test_reference_cost_of_the_scan_is_the_robust_mean_of_its_distances() -> Non
     squared = igl.point_mesh_squared_distance(p, placed.vertices, surface().faces)[0]
     term = ScanToMesh(p, n, 3.0, RHO, 0.002, -2.0)
     match, s2 = term.match(placed), RHO.sigma_m**2
-    kept = (squared < 0.002**2) & ~match.rim
+    kept = squared < 0.002**2
     assert 0.1 < kept.mean() < 0.9
+    assert match.rim.any()
     robust = np.where(kept, s2 * squared / (s2 + squared), s2)
-    assert term.cost(placed, match) == pytest.approx(3.0 * robust.mean())
+    assert term.cost(placed, match) == pytest.approx(3.0 * np.average(robust, weights=match.inner))
+
+
+def test_properties_points_beyond_the_rim_say_nothing() -> None:
+    """A scanned forearm neither costs nor pulls, unless most of the scan is beyond the wrist."""
+    placed, s2 = surface().at(near_truth()), RHO.sigma_m**2
+    own = scan().points[:500][closest_inner(placed)]
+    normals = scan().normals[:500][closest_inner(placed)]
+    arm = placed.vertices[surface().rim].mean(axis=0) + 0.02 * forearm(placed)
+
+    def priced(beyond: int) -> tuple[float, Array]:
+        p = np.concatenate([own, np.tile(arm, (beyond, 1))])
+        n = np.concatenate([normals, np.tile(forearm(placed), (beyond, 1))])
+        term = ScanToMesh(p, n, 3.0, RHO, 0.03, 0.3)
+        match = term.match(placed)
+        assert match.rim[len(own) :].all()
+        block = term.blocks(placed, match)[0]
+        return term.cost(placed, match), block.rows.T @ (block.weight * block.residual)
+
+    alone, some = priced(0), priced(len(own) // 2)
+    assert some[0] == pytest.approx(alone[0])
+    np.testing.assert_allclose(some[1], alone[1], rtol=1e-9, atol=1e-9)
+    assert priced(9 * len(own))[0] == pytest.approx(3.0 * (0.8 * s2) + 0.2 * alone[0], rel=1e-6)
+
+
+def closest_inner(placed: Placed) -> NDArray[np.bool_]:
+    pairs = closest(placed, scan().points[:500], scan().normals[:500], cut_m=0.03, cosine=0.3)
+    return np.asarray(pairs.inner == 1)
+
+
+def forearm(placed: Placed) -> Array:
+    """Direction (3,) from the hand out of its wrist ring."""
+    ring = placed.vertices[surface().rim].mean(axis=0)
+    off = ring - placed.vertices.mean(axis=0)
+    return np.asarray(off / np.linalg.norm(off))
+
+
+def test_properties_no_energy_leaps_where_a_pair_comes_in() -> None:
+    """Costs of scan points are continuous in the pose, across the limit of cosines too."""
+    s, h = surface(), 1e-7
+    term = ScanToMesh(scan().points[:400], scan().normals[:400], 1.0, RHO, 0.03, 0.5)
+    turned, leaps, crossed = near_truth(), [], 0
+    for _ in range(60):
+        turned[s.fingers.start + 2] += 0.02
+        ahead = turned.copy()
+        ahead[s.fingers.start + 2] += h
+        a, b = (term.match(s.at(x)) for x in (turned, ahead))
+        same = a.face == b.face  # a closest point that leaps to other skin has another normal
+        crossed += int(np.sum((0 < a.trust) & (a.trust < 1) & same))
+        leaps.append(
+            np.abs(RHO.cost(a.squared, a.trust) - RHO.cost(b.squared, b.trust))[same].max()
+        )
+    assert crossed > 20
+    assert max(leaps) < 1e-3 * RHO.sigma_m**2
 
 
 def test_reference_plane_residual() -> None:
@@ -117,12 +173,12 @@ def test_reference_plane_residual() -> None:
     match = term.match(placed)
     own = frozen_plane_residual(placed, term, match)
     block = term.blocks(placed, match)[0]
-    w = term.rho.weight(match.squared, match.kept)
+    w = term.point_weights(match)
     np.testing.assert_allclose(block.residual, own[w > 1e-4 * w.max()], atol=1e-12)
 
 
 def test_reference_geman_mcclure_weight_is_its_slope() -> None:
-    squared, kept = np.linspace(0, 1e-4, 9), np.ones(9, bool)
+    squared, kept = np.linspace(0, 1e-4, 9), np.linspace(0.2, 1, 9)
     h = 1e-10
     slope = (RHO.cost(squared + h, kept) - RHO.cost(squared, kept)) / h
     np.testing.assert_allclose(RHO.weight(squared, kept), slope, rtol=1e-3)
@@ -131,9 +187,9 @@ def test_reference_geman_mcclure_weight_is_its_slope() -> None:
 def test_properties_rejected_points_cost_the_plateau() -> None:
     """No step can win by losing points: the plateau is the largest cost there is."""
     squared = np.array([1e-8, 1e-4, 1.0])
-    lost = RHO.cost(squared, np.zeros(3, bool))
-    assert np.all(lost >= RHO.cost(squared, np.ones(3, bool)))
-    assert np.all(RHO.weight(squared, np.zeros(3, bool)) == 0)
+    lost = RHO.cost(squared, np.zeros(3))
+    assert np.all(lost >= RHO.cost(squared, np.ones(3)))
+    assert np.all(RHO.weight(squared, np.zeros(3)) == 0)
 
 
 def test_reference_mixture_takes_the_best_component() -> None:
