@@ -27,6 +27,8 @@ class Pairs:
         The closest point is ``sum barycentric vertex + shift``; the shift leads from the flat
         triangle to the curved surface.
     squared : (m,) metres^2
+        From the curved surface along its normal: the point above a triangle's closest one is not
+        the closest itself, and what it lies aside has nothing to do with the fit.
     kept : (m,) bool, near enough, facing alike, not off the rim
     rim : (m,) bool, closest point on an open boundary
     trust : (m,) in 0..1
@@ -142,9 +144,8 @@ def _attributes(
             total = 0.0
             for k in range(3):
                 shift[i, k] *= curved
-                off = point[i, k] + shift[i, k] - scan[i, k]
-                total += off * off
-            squared[i] = total
+                total += (point[i, k] + shift[i, k] - scan[i, k]) * normal[i, k]
+            squared[i] = total * total
         else:
             shift[i] = 0.0
         inner[i] = (0.0 if rim[a] else z) + (0.0 if rim[b] else x) + (0.0 if rim[c] else y)

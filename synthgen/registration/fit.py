@@ -34,6 +34,9 @@ from synthgen.sampling.limits import limits_of
 Array = NDArray[np.float64]
 Start = str | tuple[Any, ...]
 TURNS = 4
+# A given start that explains this much is finished as it is: with few components and all of the
+# hand asked for, the coarse stage would leave it where a view shows little.
+GOOD_START = 0.97
 # A failed fit that explains this much has the right basin: the table has nothing to add.
 RIGHT_BASIN = 0.97
 _FLIP = np.array([-1.0, 1.0, 1.0])
@@ -245,6 +248,8 @@ class _Run:
             self.kind = "cold, table" if self.net is None else "cold, learned"
             hypotheses = self._table() if self.net is None else self._learned(self.net)
         self.vectors, energies = self.search.coarse(hypotheses)
+        if start is not None and self.search.explained(own) >= GOOD_START:
+            self.vectors = np.concatenate([own[None], self.vectors])
         self.energy = float(energies[0])
 
     def _table(self) -> Starts:

@@ -62,6 +62,10 @@ class Stage:
     mesh_cut_m: float = 0.015
     prior: float = 1.0
 
+    def counted(self, points: int) -> float:
+        """Return as how many independent points a scan of so many weighs."""
+        return self.n_eff * min(points / self.points, 1.0)
+
 
 CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
 NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
@@ -137,7 +141,7 @@ def stage_terms(
     ``begin`` are vertices near the points' closest ones, where they are known.
     """
     points, normals = scan.points[: stage.points], scan.normals[: stage.points]
-    weight = stage.n_eff * len(points) / stage.points / stage.noise_m**2
+    weight = stage.counted(len(points)) / stage.noise_m**2
     rho = GemanMcClure(stage.sigma_m)
     memory: dict[str, NDArray[np.int64]] | None = None
     if stage.points >= WALK_POINTS:

@@ -141,6 +141,10 @@ class Search:
         self._spent("coarse", began)
         return model.to_vectors(found), energy
 
+    def explained(self, x: Array) -> float:
+        """Share of the scan that a vector explains as it is."""
+        return early_explained(self.settings.surface.at(x), self.scan, _early_limit_m(self.scan))
+
     def finish(self, x: Array, source: str) -> Candidate:
         """Run the finishing stages of one vector, judge it and remember it."""
         began = time.process_time()
@@ -212,8 +216,7 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
         x = outcome.x
         log.append(_logged(stage, outcome, began))
         if k == 0:
-            limit_m = float(np.clip(EARLY_NOISES * scan.local_noise_m, *EARLY_M))
-            early = early_explained(outcome.trial.placed, scan, limit_m)
+            early = early_explained(outcome.trial.placed, scan, _early_limit_m(scan))
             if early < EARLY:
                 return Candidate(x, source, early, stages=log)
         noise = own_noise(outcome)
@@ -231,6 +234,10 @@ def finish(settings: Settings, scan: Scan, x: Array, source: str) -> Candidate:
     return Candidate(x, source, early, found, verdict, log)
 
 
+def _early_limit_m(scan: Scan) -> float:
+    return float(np.clip(EARLY_NOISES * scan.local_noise_m, *EARLY_M))
+
+
 def _begin(scan: Scan, stage: Stage, before: Outcome | None) -> NDArray[np.int64] | None:
     """Where a stage of many points begins to match: at its neighbours' matches of the last one."""
     if before is None or stage.points < FINAL.points:
@@ -244,7 +251,8 @@ def _inflation(scan: Scan, outcome: Outcome, following: Stage, noise_m: float) -
     pairs = outcome.trial.matches[0]
     n = len(pairs.squared)
     found = patches_of(outcome.trial.placed, pairs, scan.points[:n], scan.normals[:n], noise_m)
-    return following.n_eff / found.effective(following.n_eff)
+    counted = following.counted(len(scan.points))
+    return counted / found.effective(counted)
 
 
 def _pending(energy: Energy, outcome: Outcome, basis: Array | None) -> tuple[Array, float]:

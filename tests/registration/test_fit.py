@@ -13,6 +13,7 @@ import synthgen
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import mirror_model
 from synthgen.registration import REASONS, Fit, fit, fit_many
+from synthgen.registration.scan import scan_of
 from synthgen.registration.simulated import ScanSettings, simulate_scan, with_detail
 from tests.registration.hands import error_mm, model, perturbed, rng, scan, scanned, surface, truth
 
@@ -286,6 +287,24 @@ def test_edge_a_fit_that_was_cut_short_says_so() -> None:
     found = finish(replace(settings, preset=hurried), scan(), x, "given")
     assert found.judgement is not None
     assert found.judgement.text == "not_converged"
+
+
+def test_properties_what_few_points_lack_is_not_counted_twice() -> None:
+    """A misfit takes from the points that a scan has, not from those that a stage would like."""
+    from synthgen.registration.fit import _Request
+    from synthgen.registration.search import finish
+
+    settings = _Request(model(), "fast", False, None, None, None, 0.0).settings("right")
+    vertices = with_detail(surface().at(truth()).vertices, surface().faces, 5e-4, rng=rng("bumps"))
+    drawn = ScanSettings(points=20_000, pixels=200)
+    points, normals, _ = simulate_scan(vertices, surface().faces, drawn, rng=rng("bumpy scan"))
+    inflation = []
+    for n in (5_000, 20_000):
+        found = finish(settings, scan_of(points[:n], normals[:n]), truth(), "given").statistics
+        assert found is not None
+        inflation.append(found.inflation)
+    assert inflation[0] > 3
+    assert inflation[0] < 0.5 * inflation[1]
 
 
 def test_edge_some_nan_points_do_no_harm() -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from synthgen.geometry.normals import vertex_normals
+from synthgen.geometry.subdivision import InterpolatingSubdivision
+from synthgen.registration import fit
 from synthgen.registration.correspondences import closest
 from synthgen.registration.patches import LEAST_POINTS, Patches, patches_of
 from synthgen.registration.statistics import PARTS, part_of_vertex
@@ -49,6 +52,20 @@ def test_properties_detail_tells_less_than_noise() -> None:
     assert 2e-4 < found.misfit_m < 8e-4
     assert found.effective(30_000) < 3000
     assert np.nanmedian(shares(found)) > 0.1
+
+
+def test_properties_exact_depth_of_few_points_is_no_misfit() -> None:
+    """1,500 exact points of smooth skin: 0.05 mm of the triangles' limits leave them their say."""
+    smooth = InterpolatingSubdivision.build(surface().faces, len(surface().at(truth()).vertices))
+    points = smooth.apply(surface().at(truth()).vertices)
+    normals = vertex_normals(points, smooth.faces)
+    some = rng("some").permutation(len(points))[:1500]
+    shape, pose, translation = surface().unpack(truth())
+    found = fit(
+        points[some], normals[some], model(), (shape, pose, translation), "right", curved=0.5
+    )
+    assert found.verdict == "pass"
+    assert np.linalg.norm(found.vertices - surface().at(truth()).vertices, axis=1).mean() < 1.5e-4
 
 
 def test_edge_few_points_say_nothing() -> None:
