@@ -24,7 +24,10 @@ from synthgen.config.skin import SkinSettings
 
 Column = Literal["image", "depth", "labels", "meta", "exr", "scan", "stereo"]
 COLUMNS: tuple[Column, ...] = ("image", "depth", "labels", "meta", "exr", "scan", "stereo")
-LightEffect = Literal["shadows", "specular", "subsurface", "defocus", "bounce"]
+ScannerEffect = Literal[
+    "shadows", "specular", "subsurface", "defocus", "bounce", "shot_noise", "read_noise",
+    "pixel_gains", "hot_pixels", "saturation", "quantisation",
+]  # fmt: skip
 
 
 class ModelSettings(Section):
@@ -142,7 +145,7 @@ def _columns(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     return tuple(name for name in COLUMNS if name in columns)
 
 
-def _once(names: tuple[LightEffect, ...]) -> tuple[LightEffect, ...]:
+def _once(names: tuple[ScannerEffect, ...]) -> tuple[ScannerEffect, ...]:
     if len(set(names)) != len(names):
         raise ValueError("an effect is named twice")
     return names
@@ -164,9 +167,9 @@ class ScannerSettings(Section):
     preset: Literal["default", "best"] = "default"
     """Matching: `best` refines with a quadratic shape function, fewer outliers for more time."""
 
-    without: Annotated[tuple[LightEffect, ...], AfterValidator(_once)] = ()
-    """Light effects that are left out, all else equal: shadows, specular, subsurface, defocus,
-    bounce."""
+    without: Annotated[tuple[ScannerEffect, ...], AfterValidator(_once)] = ()
+    """What is left out, all else equal. Light: shadows, specular, subsurface, defocus, bounce.
+    Sensors: shot_noise, read_noise, pixel_gains, hot_pixels, saturation, quantisation."""
 
     speed_m_s: float = Field(default=0.0, ge=0, le=2.0)
     """How fast the hand moves while it is scanned, in a direction of its own; units do not fire at
@@ -236,8 +239,8 @@ class Config(Section):
         asked = [name for name in ("scan", "stereo") if name in self.corpus.columns]
         if asked and self.scanner.rig is None:
             raise ValueError(f"corpus.columns has {asked[0]} but scanner.rig is null; name a rig")
-        light = self.scanner.preset != "default" or self.scanner.without
-        if self.scanner.level == "model" and light:
+        pictured = self.scanner.preset != "default" or self.scanner.without
+        if self.scanner.level == "model" and pictured:
             raise ValueError("scanner.level model has no light and no matching: leave out "
                              "scanner.preset and scanner.without")  # fmt: skip
         if self.scanner.rig is not None and "scan" not in self.corpus.columns:

@@ -17,6 +17,7 @@ from synthgen.sampling.spec import SampleSpec
 from synthgen.sampling.streams import stream
 from synthgen.scanner import Effects, Scan, ScanScene, load_rig, scan, settings_for
 from synthgen.scanner.hand import HandSolid, hand_solid, moved_subject, rig_from_world
+from synthgen.scanner.sensor import SENSOR_EFFECTS, without
 from synthgen.scanner.subject import moved
 from synthgen.scene.description import Vec3
 
@@ -30,13 +31,14 @@ class Scanning:
     def __init__(self, config: Config, inner: Attempt) -> None:
         assert config.scanner.rig is not None
         self._config, self._inner = config, inner
-        self._rig = load_rig(config.scanner.rig, config.scanner.seed)
-        asked = config.scanner
+        asked, off = config.scanner, set(config.scanner.without)
+        rig = load_rig(config.scanner.rig, asked.seed)
+        self._rig = without(rig, off & set(SENSOR_EFFECTS))
         self._settings = replace(
             settings_for(self._rig, asked.level, asked.preset),
             true_disparity="stereo" in config.corpus.columns,
         )
-        self._effects = Effects(**dict.fromkeys(asked.without, False))
+        self._effects = Effects(**dict.fromkeys(off - set(SENSOR_EFFECTS), False))
 
     def attempt(self, spec: SampleSpec) -> tuple[str | None, list[RenderedView]]:
         """Make views and scan of a sample, or say why it must be drawn again."""

@@ -39,6 +39,8 @@ class Readout:
         Shares of the full well beyond which nothing is added; ``inf`` is off.
     bits : int
         Of the counts that :func:`counts` makes.
+    quantisation : bool
+        False leaves fractions of counts.
     black_dn : float
         Offset added before quantisation, counts of an 8-bit sensor.
     """
@@ -51,6 +53,7 @@ class Readout:
     saturation: float = 1.0
     bits: int = 8
     black_dn: float = 0.0
+    quantisation: bool = True
 
     @property
     def full_scale(self) -> int:
@@ -119,17 +122,24 @@ def electrons(
         noise *= np.sqrt(held + variance if readout.shot_noise else variance)
         held += noise
     well = kind(readout.full_well_e)
-    np.minimum(held, kind(readout.saturation) * well, out=held)
+    most = kind(readout.saturation) * well
+    np.minimum(held, most, out=held)
     if readout.hot_share and fixed is not None:
         flat = held.reshape(-1)
-        flat[fixed.hot] = np.minimum(np.maximum(flat[fixed.hot], fixed.hot_level * well), well)
+        flat[fixed.hot] = np.minimum(np.maximum(flat[fixed.hot], fixed.hot_level * well), most)
     return np.asarray(held)
 
 
 def counts(held: NDArray[Any], readout: Readout) -> NDArray[Any]:
-    """Digitise electrons: counts (H, W) uint8, or uint16 for more than 8 bits."""
+    """Digitise electrons: counts (H, W).
+
+    uint8, or uint16 for more than 8 bits and where nothing saturates; float32 without quantisation.
+    """
     full = readout.full_scale
     digital = held * (held.dtype.type(full) / held.dtype.type(readout.full_well_e))
     digital += held.dtype.type(readout.black_dn * full / 255)
-    rounded = np.clip(np.rint(digital), 0, full)
-    return np.asarray(rounded.astype(np.uint8 if readout.bits <= 8 else np.uint16))
+    wide = not np.isfinite(readout.saturation)
+    if not readout.quantisation:
+        return np.asarray(np.clip(digital, 0, np.inf if wide else full).astype(np.float32))
+    rounded = np.clip(np.rint(digital), 0, np.iinfo(np.uint16).max if wide else full)
+    return np.asarray(rounded.astype(np.uint8 if readout.bits <= 8 and not wide else np.uint16))

@@ -273,7 +273,7 @@ def _misexposed(unit: Unit, left: NDArray[Any], sensor: Sensor) -> str | None:
         )
     lit = left[left > black + 6 * sensor.full_scale / 255]
     white = float((lit >= 0.97 * sensor.full_scale).mean()) if len(lit) else 0.0
-    if white < _WHITE:
+    if white < _WHITE or not sensor.saturation:
         return None
     return (
         f"unit {unit.ident}: the picture is overexposed, {100 * white:.0f} % of what is lit is at "

@@ -87,7 +87,7 @@ def picture_report(
     """
     return {
         "gain": shot.gain,
-        "saturated": float((shot.left >= rig.grey.full_scale).mean()),
+        "saturated": float((rig.grey.saturation & (shot.left >= rig.grey.full_scale)).mean()),
         "lit": 0 if textured is None else int(textured.sum()),
         "row_offset": None if rows is None else asdict(rows),
     }

@@ -7,6 +7,7 @@ one makes the pictures. They differ by one frozen draw per scanner seed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -139,8 +140,12 @@ class Sensor:
         Relative sigma of the pixels' gains, frozen per scanner.
     hot_share : float
         Share of pixels that are stuck bright, frozen per scanner.
+    saturation : bool
+        False: counts go on beyond full scale; the coarse search and stored pictures end there.
     bits : int
         8, 10 or 12.
+    quantisation : bool
+        False: counts have fractions; the coarse search and stored pictures have none.
     black_dn : float
         Offset added before quantisation, counts of an 8-bit sensor.
     gain : float or None
@@ -159,7 +164,9 @@ class Sensor:
     read_noise_e: float
     prnu: float
     hot_share: float
+    saturation: bool
     bits: int
+    quantisation: bool
     black_dn: float
     gain: float | None
     auto_target: float
@@ -175,7 +182,8 @@ class Sensor:
         """The part of it that turns light into counts, as every camera here does."""
         return Readout(
             self.full_well_e, self.shot_noise, self.read_noise_e, self.prnu, self.hot_share,
-            bits=self.bits, black_dn=self.black_dn,
+            saturation=1.0 if self.saturation else math.inf, bits=self.bits,
+            black_dn=self.black_dn, quantisation=self.quantisation,
         )  # fmt: skip
 
 

@@ -129,7 +129,13 @@ class SensorSpec(Section):
     hot_share: float = Field(default=1e-5, ge=0.0, le=0.1)
     """Share of stuck bright pixels, frozen per scanner."""
 
+    saturation: bool = True
+    """False: counts go on beyond full scale; the coarse search and stored pictures end there."""
+
     bits: Literal[8, 10, 12] = 8
+    quantisation: bool = True
+    """False: counts have fractions; the coarse search and stored pictures have none."""
+
     black_dn: float = Field(default=2.0, ge=0.0, le=64.0)
     """Offset in counts of an 8-bit sensor."""
 

@@ -7,6 +7,8 @@ which the sub-samples are); then :mod:`synthgen.render.readout`. What belongs to
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,9 +20,26 @@ from synthgen.geometry.cameras import Camera
 from synthgen.render import readout
 from synthgen.render.readout import FixedPattern, draw_pattern
 from synthgen.sampling.streams import stream
-from synthgen.scanner.rig import Sensor
+from synthgen.scanner.rig import Rig, Sensor
 
 Image = NDArray[np.float32]
+SENSOR_EFFECTS: dict[str, dict[str, Any]] = {
+    "shot_noise": {"shot_noise": False},
+    "read_noise": {"read_noise_e": 0.0},
+    "pixel_gains": {"prnu": 0.0},
+    "hot_pixels": {"hot_share": 0.0},
+    "saturation": {"saturation": False},
+    "quantisation": {"quantisation": False},
+}
+"""What a sensor adds, by name, and the fields that leave it out."""
+
+
+def without(rig: Rig, effects: Iterable[str]) -> Rig:
+    """Leave effects out of all sensors of a rig; what is left draws the same random numbers."""
+    off: dict[str, Any] = {}
+    for effect in effects:
+        off |= SENSOR_EFFECTS[effect]
+    return replace(rig, grey=replace(rig.grey, **off), colour=replace(rig.colour, **off))
 
 
 @lru_cache(maxsize=16)
@@ -66,7 +85,7 @@ def counts(
 
     Returns
     -------
-    (H, W) uint8 or uint16
+    (H, W) uint8 or uint16, or float32 without quantisation
     """
     held = readout.electrons(picture, sensor.readout, gain, fixed, rng=rng)
     return readout.counts(held, sensor.readout)

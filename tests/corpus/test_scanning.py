@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import igl
 import numpy as np
@@ -13,14 +13,17 @@ import pytest
 
 from synthgen.cli.show import show
 from synthgen.config import load_config
+from synthgen.config.schema import ScannerEffect
 from synthgen.corpus import open_corpus
 from synthgen.corpus.gallery import write_gallery
 from synthgen.corpus.runner import generate
 from synthgen.corpus.scanning import Scanning
 from synthgen.errors import ConfigError
 from synthgen.sampling.draw import draw_sample
+from synthgen.scanner import Effects, load_rig
 from synthgen.scanner.hand import hand_solid
 from synthgen.scanner.result import empty_scan
+from synthgen.scanner.sensor import SENSOR_EFFECTS
 from synthgen.verify import verify
 
 SETTINGS = [
@@ -119,6 +122,17 @@ def test_properties_one_effect_less_or_a_moving_hand_all_else_equal(
         speed = np.linalg.norm(other.scan.report["velocity_m_s"])
         assert speed == pytest.approx(0.3 if "speed" in asked else 0.0)
         assert verify(tmp_path / str(number)).ok
+
+
+def test_properties_effects_of_sensors_can_be_left_out_by_name() -> None:
+    names = set(get_args(ScannerEffect))
+    light = {f.name for f in dataclasses.fields(Effects)} - {"vertex_cache"}
+    assert names == light | set(SENSOR_EFFECTS)
+    for name in sorted(names):
+        config = load_config("hand_scan", [*SETTINGS, f"scanner.without=[{name}]"])
+        scanning = Scanning(config, lambda _: (None, []))
+        left_out = name in light and not getattr(scanning._effects, name)
+        assert left_out != (scanning._rig != load_rig("mini"))
 
 
 def test_edge_light_and_matching_of_no_pictures() -> None:

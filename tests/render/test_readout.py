@@ -78,8 +78,18 @@ def test_properties_saturation_and_quantisation(bits: int) -> None:
     black = 2 * full / 255
     assert got.dtype == (np.uint8 if bits == 8 else np.uint16)
     assert got.tolist() == [[round(black), round(black), round(0.5 * full + black), full]]
-    wide = electrons(np.array([[3.0]]), replace(QUIET, saturation=np.inf), rng=rng())
-    assert wide[0, 0] == pytest.approx(30_000)
+    wide = replace(model, saturation=np.inf)
+    held = electrons(np.array([[-1.0, 3.0]]), wide, rng=rng())
+    assert held[0, 1] == pytest.approx(30_000)
+    assert counts(held, wide).tolist() == [[round(black), round(3 * full + black)]]
+    assert counts(held, wide).dtype == np.uint16
+    for fine, most in (
+        (replace(model, quantisation=False), full),
+        (replace(wide, quantisation=False), 3 * full + black),
+    ):
+        got = counts(electrons(np.array([[0.3, 3.0]]), fine, rng=rng()), fine)
+        assert got.dtype == np.float32
+        assert got.tolist()[0] == pytest.approx([0.3 * full + black, most])
 
 
 def test_properties_same_stream_same_numbers() -> None:

@@ -34,11 +34,11 @@ def test_properties_plane(seen: Any) -> None:
     assert abs(error.mean()) < 0.05
 
 
-@pytest.mark.parametrize("fraction", [0.2, 0.4, 0.7])
+@pytest.mark.parametrize("fraction", [0.2, 0.3, 0.4, 0.6, 0.7, 0.8])
 def test_properties_fractions_are_found(fraction: float) -> None:
     """Penalties stand against costs summed over the block; against their mean all snaps to pixels.
 
-    What is left is the parabola's own bias.
+    A parabola through the costs would leave .05 to .09.
     """
     texture = 30 + 150 * slide(Pattern("speckle", 4.0, 0.5, 5), 160)
     rng = stream(0, "sample", 0, 0, "noise")
@@ -49,7 +49,7 @@ def test_properties_fractions_are_found(fraction: float) -> None:
     )
     noisy = [picture + 2 * rng.standard_normal(picture.shape) for picture in (left, right)]
     error = match_census(noisy[0], noisy[1], (-5.0, 12.0)).disparity - (3 + fraction)
-    assert abs(np.nanmedian(error[10:-10, 20:-10])) < 0.11
+    assert abs(np.nanmedian(error[10:-10, 20:-10])) < 0.04
 
 
 def test_properties_strictness_removes(seen: Any) -> None:

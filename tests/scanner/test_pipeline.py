@@ -152,6 +152,25 @@ def test_edge_the_inverse_square_trap_is_told() -> None:
             assert re.search(rf"unit {unit}: black speckle: .* give [\d.]+e-07", str(found.problem))
 
 
+def test_properties_saturation_and_what_it_costs_can_be_left_out(
+    full: Scan, tmp_path: Path
+) -> None:
+    """Exposed two and a half times too long; the file of a rig has the switches."""
+    text = list_rigs()["mini"].read_text(encoding="utf-8")
+    errors = {}
+    for switches in ("", ", saturation: false", ", saturation: false, quantisation: false"):
+        path = tmp_path / "mini.yaml"
+        path.write_text(f"{text}grey_sensor: {{auto_target: 2.0{switches}}}\n", encoding="utf-8")
+        found = scanned(load_rig(path), colour=False)
+        white = [unit["saturated"] for unit in found.report["units"].values()]
+        assert all((share == 0) == bool(switches) for share in white)
+        errors[switches] = np.sqrt(np.mean(found.provenance["error_m"] ** 2))
+    usual = np.sqrt(np.mean(full.provenance["error_m"] ** 2))
+    burnt, *others = errors.values()
+    assert burnt > 1.1 * usual
+    assert others == pytest.approx([usual] * 2, rel=0.03)
+
+
 def test_edge_what_is_wrong_with_the_pictures_is_said() -> None:
     rig = load_rig("mini")
     white = scanned(replace(rig, grey=replace(rig.grey, gain=500.0)), colour=False)

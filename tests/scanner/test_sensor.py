@@ -10,7 +10,14 @@ import pytest
 from synthgen.geometry.cameras import camera_from_K
 from synthgen.sampling.streams import stream
 from synthgen.scanner.rig import Sensor
-from synthgen.scanner.sensor import automatic_gain, counts, fixed_pattern, optical
+from synthgen.scanner.sensor import (
+    SENSOR_EFFECTS,
+    automatic_gain,
+    counts,
+    fixed_pattern,
+    optical,
+    without,
+)
 from tests.scanner.small import mini, quiet
 
 H, W = 200, 300
@@ -70,6 +77,30 @@ def test_properties_hot_pixels() -> None:
 def test_properties_saturation() -> None:
     got = taken(STILL, np.full((H, W), 3.0, np.float32))
     assert (got == 4095).all()
+
+
+@pytest.mark.parametrize("effect", SENSOR_EFFECTS)
+def test_properties_one_effect_less_leaves_the_others_their_numbers(effect: str) -> None:
+    """What differs is what the effect made: nothing else is drawn anew."""
+    sensor = replace(
+        STILL, shot_noise=True, read_noise_e=20.0, prnu=0.02, hot_share=0.01, bits=8, black_dn=8.0
+    )
+    rig = without(replace(mini(), grey=sensor), [effect])
+    with_, less = (
+        taken(s, np.linspace(0, 1.5, H * W, dtype=np.float32).reshape(H, W)).astype(np.float64)
+        for s in (sensor, rig.grey)
+    )
+    differs = with_ != less
+    largest = {"quantisation": 0.5, "shot_noise": 15, "read_noise": 15, "pixel_gains": 30}
+    assert differs.any()
+    assert np.abs(with_ - less).max() <= largest.get(effect, np.inf) + 1e-4
+    if effect == "saturation":
+        assert (with_[differs] >= 254).mean() > 0.98  # the rest: hot pixels
+        assert less.max() > 1.4 * 255
+    if effect == "hot_pixels":
+        assert differs.mean() < 0.011
+    assert rig.grey != sensor
+    assert without(rig, [effect]) == rig
 
 
 def test_properties_blur_and_vignetting() -> None:
