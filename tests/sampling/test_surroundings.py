@@ -115,6 +115,17 @@ def test_properties_rooms_hold_cameras_lamps_and_hand() -> None:
     assert rooms > 5
 
 
+def test_properties_walls_stand_behind_hand_and_arm() -> None:
+    """Also of a hand at the edge of a wide picture, which is nearer along the axis than it is."""
+    only = ["background.procedural=1000", "camera.offset=0.5", "camera.fov_deg=[100,120]"]
+    for index in range(30):
+        scene = draw(index, *only).scene
+        wall, camera, subject = scene.background, scene.cameras[0], scene.subjects[0]
+        surface = surface_of(load(subject.model, hand=subject.hand), subject)
+        behind = (surface - np.array(wall.centre_m)) @ camera.T[:3, 2]
+        assert behind.max() < wall.distance_m
+
+
 @pytest.mark.parametrize("kind", ["lamp", "room"])
 @pytest.mark.parametrize("height", [0.15, 0.6])
 def test_properties_lamps_hang_inside_the_room(kind: str, height: float) -> None:
