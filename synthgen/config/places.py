@@ -100,7 +100,8 @@ class OpticsSettings(Section):
 
     distortion: float = Field(default=0.0, ge=0.0, le=0.2)
     """Largest radial displacement at the frame's corner, as a share of its distance from the image
-    centre; barrel and pincushion alike. Image and labels are both distorted. In full 0.02."""
+    centre; barrel and pincushion alike, but a lens that would fold the picture over is weakened.
+    Image and labels are both distorted. In full 0.02."""
 
     defocus: Share = 0.0
     """Share of samples with a shallow depth of field, focused on the hand. In full 0.25."""

@@ -20,6 +20,7 @@ from synthgen.errors import IntegrityError
 from synthgen.models import load_hand
 from synthgen.models.cache import sha256_of
 from synthgen.models.finding import find
+from synthgen.scene.files import listing_digest
 
 MANIFEST, TABLE, CARD = "MANIFEST.json", "samples.parquet", "DATASET_CARD.md"
 
@@ -29,7 +30,7 @@ def engine(config: Config) -> dict[str, Any]:
 
     The model's digest is of what places its vertices, the SHA-256 of its whole file: fingertips,
     pose table and texture coordinates decide bytes, too. The rig's digest is there where a scanner
-    or a depth camera is.
+    or a depth camera is, and that of a folder of pictures where samples choose from one.
 
     The denoiser counts where one is asked for: ``oidn``, or ``auto``, which may find it missing.
     """
@@ -47,7 +48,18 @@ def engine(config: Config) -> dict[str, Any]:
             **backend.versions(denoiser=config.render.denoise != "none"),
         },
         **rig_digests(config),
+        **listing_digests(config),
     }
+
+
+def listing_digests(config: Config) -> dict[str, str]:
+    """Return the digests of the user's folders that samples choose from: files may come and go."""
+    found = {}
+    if config.light.hdri > 0:
+        found["hdri_listing"] = listing_digest(str(config.files.hdri), "panorama")
+    if config.background.photo > 0:
+        found["images_listing"] = listing_digest(str(config.files.images), "image")
+    return found
 
 
 def rig_digests(config: Config) -> dict[str, str]:

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# A normal beyond the horizon comes back to it and a hair over, so that rounding keeps it there.
+_OVER = 1.001
+
 
 def meet(
     vertices: Array,
@@ -40,7 +43,8 @@ def meet(
         Directions; distances count in their lengths.
     out : barycentric (n, 3), distance (n,), normal (n, 3), float64
         Written at ``rows``: weights of the triangle's corners, clipped into it; distance; unit
-        normal towards the origin.
+        normal towards the origin. A smooth normal belongs to the side of the triangle that is
+        seen; where interpolation turns it beyond the horizon, at silhouettes, it is laid on it.
     """
     smooth = np.zeros((0, 3)) if normals is None else normals
     _meet(vertices, triangles, smooth, rows, prim, origin, rays, *out)
@@ -68,13 +72,20 @@ def _meet(
         wa, wb, wc = max(1.0 - wb - wc, 0.0), max(wb, 0.0), max(wc, 0.0)
         total = wa + wb + wc
         wa, wb, wc = wa / total, wb / total, wc / total
+        if nx * rx + ny * ry + nz * rz > 0:
+            nx, ny, nz = -nx, -ny, -nz
         if len(normals):
+            fx, fy, fz = nx, ny, nz
             nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
             ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
             nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+            if nx * fx + ny * fy + nz * fz < 0:
+                nx, ny, nz = -nx, -ny, -nz
+            beyond = nx * rx + ny * ry + nz * rz
+            if beyond > 0:  # a flip would throw it to the other side of the outline
+                beyond *= _OVER / (rx * rx + ry * ry + rz * rz)
+                nx, ny, nz = nx - beyond * rx, ny - beyond * ry, nz - beyond * rz
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if nx * rx + ny * ry + nz * rz > 0:
-            length = -length
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = wa, wb, wc
         distance[i] = along
         normal[i, 0], normal[i, 1], normal[i, 2] = nx / length, ny / length, nz / length

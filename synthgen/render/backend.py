@@ -7,7 +7,6 @@ their version in a child process before Dr.Jit may see them.
 from __future__ import annotations
 
 import ctypes.util
-import json
 import os
 import subprocess
 import sys
@@ -46,7 +45,7 @@ _PROBE_CUDA = """
 import drjit as dr, mitsuba as mi
 mi.set_variant("cuda_ad_rgb")
 scene = mi.load_dict(mi.cornell_box())
-print(float(dr.mean(mi.render(scene, spp=1).array)[0]) > 0)
+print("\\nlit" if float(dr.mean(mi.render(scene, spp=1).array)[0]) > 0 else "\\ndark")
 """
 
 
@@ -251,7 +250,8 @@ def cuda_works() -> bool:
         )
     except (OSError, subprocess.SubprocessError):
         return False
-    return child.returncode == 0 and json.loads(child.stdout.strip().lower() or "false") is True
+    # Mitsuba logs to stdout, before the answer or after it, in colours.
+    return child.returncode == 0 and "lit" in child.stdout.split()
 
 
 def _active() -> str | None:

@@ -122,7 +122,8 @@ class Renderer:
             begin, end = step * settings.spp // steps, (step + 1) * settings.spp // steps
             key = (seed + 15_485_863 * step) % 2**31
             part = film.radiance(end - begin, settings.max_depth, key)
-            part = part * np.float32((end - begin) / settings.spp)
+            # Every moment counts alike, or the picture's middle would not be the motion's.
+            part = part * np.float32(1 / steps)
             linear = part if linear is None else linear + part
             if guided:
                 parts.append(film.guides(max(1, GUIDE_SPP // steps), key))

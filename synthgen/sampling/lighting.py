@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 # Relative red, green, blue of common light: tungsten, warm and neutral LED, daylight.
 _WHITES = np.array([[1.0, 0.74, 0.48], [1.0, 0.86, 0.68], [1.0, 0.96, 0.9], [0.92, 0.97, 1.06]])
 _DAYLIGHT = np.array([0.9, 0.97, 1.08])
+# A lamp's middle keeps so far from a room's walls: half the diagonal of the largest.
+_OFF_WALL_M = 0.18
 
 
 def sample_lights(
@@ -50,9 +52,10 @@ def sample_lights(
         lamp = _lamp(subject, camera, rng.uniform(1.5, 4.0), (0.15, 0.5), rng=rng)
         return Lights(constant_rgb=_tint(rng.uniform(0.25, 0.6), rng), area=(lamp,))
     if kind == "lamp":
-        lamp = _lamp(subject, camera, rng.uniform(2.5, 4.0), (0.06, 0.25), rng=rng)
+        room = background if background.kind == "room" else None
+        lamp = _lamp(subject, camera, rng.uniform(2.5, 4.0), (0.06, 0.25), rng=rng, room=room)
         dim = _tint(rng.uniform(0.03, 0.12), rng)
-        return Lights((0.0, 0.0, 0.0) if background.kind == "room" else dim, area=(lamp,))
+        return Lights(dim if room is None else (0.0, 0.0, 0.0), area=(lamp,))
     if kind in ("sky", "hdri"):
         return Lights((0.0, 0.0, 0.0), sky=_sky(subject, camera, panorama, rng))
     if background.kind == "room":
@@ -63,9 +66,9 @@ def sample_lights(
 
 def _lamp(
     subject: Array, camera: Array, irradiance: float, size_m: tuple[float, float],
-    *, rng: np.random.Generator,
+    *, rng: np.random.Generator, room: Background | None = None,
 ) -> AreaLight:  # fmt: skip
-    """One lamp on the camera's side of the subject, never below it by much."""
+    """One lamp on the camera's side of the subject, never below it by much, within a room."""
     camera_m = np.linalg.norm(camera - subject)
     to_camera = (camera - subject) / camera_m
     distance = rng.uniform(0.7, 1.4)
@@ -77,6 +80,9 @@ def _lamp(
             break
     size = float(rng.uniform(*size_m))
     position = subject + distance * away
+    if room is not None:
+        low, high = room_box(room)
+        position = np.clip(position, low + _OFF_WALL_M, high - _OFF_WALL_M)
     return _area_light(position, subject, subject, size, irradiance * _white(rng))
 
 
@@ -128,7 +134,8 @@ def _window(
     front = [k for k in range(4) if facing[k] > 0.1]
     back = [k for k in range(4) if -0.6 < facing[k] <= 0.1]
     few = rng.random() < 0.2 and back
-    axis, side = walls[int(rng.choice(back if few else front))]
+    # Straight above the subject a camera looks at no wall more than at another.
+    axis, side = walls[int(rng.choice(back if few or not front else front))]
     inward = np.zeros(3)
     inward[axis] = -1.0 if side else 1.0
     along = 2 - axis

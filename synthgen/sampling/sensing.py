@@ -8,19 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthgen.config.places import OpticsSettings, SensorSettings
-from synthgen.geometry.cameras import Camera
+from synthgen.errors import ShapeError
+from synthgen.geometry.cameras import Camera, undistort
 from synthgen.sampling.appearance import rounded
 from synthgen.scene import Motion, Optics, Sensor
 
 Array = NDArray[np.float64]
 
 SUB_FRAMES = 4
+# Lenses are inverted with this much more distortion than they keep; what fails is weakened.
+_MARGIN, _WEAKER = 1.15, 0.8
 
 
 def distorted(
     cameras: tuple[Camera, ...], largest: float, *, rng: np.random.Generator
 ) -> tuple[Camera, ...]:
-    """Give every camera the same lens's distortion: the corner moves by up to ``largest``."""
+    """Give every camera the same lens's distortion: the corner moves by up to ``largest``.
+
+    A lens that would fold the picture over before its corner is weakened until it does not.
+    """
     moved, tangential = rng.uniform(-largest, largest), rng.normal(0, 0.1, 2) * largest
     if largest == 0:
         return cameras
@@ -29,8 +35,25 @@ def distorted(
         corner = ((camera.width / 2) ** 2 + (camera.height / 2) ** 2) / camera.fx**2
         k1 = round(float(moved / corner), 9)
         p1, p2 = (round(float(v / np.sqrt(corner)), 9) for v in tangential)
-        done.append(replace(camera, distortion=(k1, 0.0, p1, p2, 0.0)))
+        done.append(_unfolded(replace(camera, distortion=(k1, 0.0, p1, p2, 0.0))))
     return tuple(done)
+
+
+def _unfolded(camera: Camera) -> Camera:
+    """Weaken a lens by fifths until it can be inverted over its frame, with some margin."""
+    u = (np.linspace(-0.5, camera.width - 0.5, 9) - camera.cx) / camera.fx
+    v = (np.linspace(-0.5, camera.height - 0.5, 9) - camera.cy) / camera.fy
+    frame = np.stack(np.meshgrid(u, v), axis=-1)
+    while True:
+        k1, _, p1, p2, _ = camera.distortion
+        stronger = (_MARGIN * k1, 0.0, _MARGIN * p1, _MARGIN * p2, 0.0)
+        try:
+            undistort(replace(camera, distortion=stronger), frame)
+        except ShapeError:
+            k1, p1, p2 = (round(_WEAKER * value, 9) for value in (k1, p1, p2))
+            camera = replace(camera, distortion=(k1, 0.0, p1, p2, 0.0))
+        else:
+            return camera
 
 
 def sample_optics(

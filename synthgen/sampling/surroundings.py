@@ -80,7 +80,8 @@ def _background(config: Config, stage: Stage, rng: np.random.Generator) -> tuple
     camera = stage.cameras[0]
     centre = stage.hand.mean(axis=0)
     eyes = np.array([camera.position for camera in stage.cameras])
-    behind = placement.depth_behind(stage.surface, camera) - float(np.linalg.norm(centre - eyes[0]))
+    behind = placement.depth_behind(stage.surface, camera)
+    behind -= placement.depth_behind(centre[None], camera)
     picture = None
     if kind == "photo":
         picture = _file(str(config.files.images), "image", config.files.licence, rng)

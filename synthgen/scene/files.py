@@ -22,6 +22,8 @@ Kind = Literal["image", "panorama"]
 Image = NDArray[np.float32]
 
 MAX_BYTES, MAX_SIDE, MIN_SIDE, MAX_FILES = 512 * 2**20, 16384, 16, 20_000
+# Of an OpenEXR file, all channels: the largest panorama of four.
+MAX_DECODED = 2**31
 SUFFIXES: dict[str, tuple[str, ...]] = {
     "image": (".jpg", ".jpeg", ".png"),
     "panorama": (".exr",),
@@ -30,7 +32,6 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
 PANORAMA_PX, IMAGE_PX = (512, 256), 1024
 
 
-@lru_cache(maxsize=16)
 def candidates(place: str, kind: Kind) -> tuple[Path, ...]:
     """Return the files that a setting means, sorted: one file, or those of a folder.
 
@@ -45,15 +46,27 @@ def candidates(place: str, kind: Kind) -> tuple[Path, ...]:
         return (path,)
     if not path.is_dir():
         raise FileError(f"{place} is neither a file nor a folder; give a {wanted} file or a folder")
-    found = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES[kind])
+    found = _listed(path, kind, path.stat().st_mtime_ns)
     if not found:
         raise FileError(f"{place} holds no {wanted} file; add some, or name another folder")
     if len(found) > MAX_FILES:
         raise FileError(f"{place} holds {len(found)} files; at most {MAX_FILES}, split the folder")
-    return tuple(found)
+    return found
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=16)
+def _listed(folder: Path, kind: Kind, stamp: int) -> tuple[Path, ...]:
+    """List a folder as it was at a time stamp; what only looks like a file is passed over."""
+    named = (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES[kind])
+    return tuple(sorted(p for p in named if p.is_file()))
+
+
+def listing_digest(place: str, kind: Kind) -> str:
+    """Return a SHA-256 of names and sizes of the candidates, among which samples choose."""
+    told = [(path.name, path.stat().st_size) for path in candidates(place, kind)]
+    return hashlib.sha256(repr(told).encode()).hexdigest()
+
+
 def checked(path: Path, kind: Kind, licence: str) -> Picture:
     """Check a file's header and describe it.
 
@@ -63,9 +76,20 @@ def checked(path: Path, kind: Kind, licence: str) -> Picture:
         Naming the file, what is wrong, and what is allowed.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise FileError(f"{path} has {size} bytes; at most {MAX_BYTES}, scale it down")
+        state = path.stat()
+        if not path.is_file():
+            raise FileError(f"{path} is a folder, pipe or device; a picture is a file")
+        if state.st_size > MAX_BYTES:
+            raise FileError(f"{path} has {state.st_size} bytes; at most {MAX_BYTES}, scale it down")
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from None
+    return _described(path, kind, licence, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=4096)
+def _described(path: Path, kind: Kind, licence: str, stamp: int, size: int) -> Picture:
+    """Check a file as it was at a time stamp."""
+    try:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}") from None
@@ -103,8 +127,8 @@ def _exr_size(path: Path) -> tuple[int, int]:
 
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            header = file.header()
-            low, high = header["dataWindow"]
+            header, parts = file.header(), len(file.parts)
+            (left, top), (right, bottom) = np.array(header["dataWindow"], np.int64).tolist()
             names = {channel.name for channel in header["channels"]}
     except Exception as error:  # OpenEXR raises its own and RuntimeError alike
         raise FileError(f"{path} is no readable OpenEXR file: {error}") from None
@@ -113,7 +137,13 @@ def _exr_size(path: Path) -> tuple[int, int]:
             f"{path} has the channels {', '.join(sorted(names)) or 'none'}; "
             "a panorama needs R, G, B"
         )
-    return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
+    width, height = right - left + 1, bottom - top + 1
+    if parts != 1 or 4 * width * height * len(names) > MAX_DECODED:
+        raise FileError(
+            f"{path} holds {parts} part(s), {len(names)} channels of {width} x {height} pixels; a "
+            f"panorama is one part of at most {MAX_DECODED} bytes, decoded: save R, G, B alone"
+        )
+    return width, height
 
 
 def read_image(picture: Picture) -> Image:

@@ -6,6 +6,8 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from synthgen.config import Config, load_config
@@ -109,3 +111,18 @@ def test_edge_missing_and_damaged(tmp_path: Path) -> None:
     (tmp_path / PLAN).write_text('{"index": 0}\n')
     with pytest.raises(CorpusError, match="row 0 is damaged"):
         read_plan(tmp_path)
+
+
+def test_edge_another_folder_of_pictures_is_refused(tmp_path: Path) -> None:
+    """Rows and redraws choose among the files: with one more they would choose others."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "a.png"), np.zeros((40, 40, 3), np.uint8))
+    only = ["background.plain=0", "background.procedural=0", "background.room=0"]
+    mine = [*only, "background.photo=1", f"files.images={folder}", "files.licence=CC0"]
+    write_plan(load_config("fixtures", mine), tmp_path / "c", progress=False)
+    longer = load_config("fixtures", [*mine, "samples=6"])
+    write_plan(longer, tmp_path / "c", progress=False)
+    cv2.imwrite(str(folder / "b.png"), np.ones((40, 40, 3), np.uint8))
+    with pytest.raises(CorpusError, match=r"making \(images_listing was \w+, is"):
+        write_plan(longer, tmp_path / "c", progress=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,6 +65,24 @@ def test_edge_import_order_is_an_error_not_an_abort() -> None:
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert child.returncode == 0
     assert child.stdout.startswith("BackendError drjit or mitsuba was imported before")
+
+
+_WARNING = "\x1b[31m2026-01-01 00:00:00 WARN  main [Scene] slow\n\x1b[0m"
+
+
+@pytest.mark.parametrize(
+    "said", ["\nlit\n", f"{_WARNING}\nlit\n", f"\nlit\n{_WARNING}", "\ndark\n", ""]
+)
+def test_edge_the_probe_may_say_more_than_asked(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    """Mitsuba logs to stdout: a warning there must neither raise nor hide the GPU."""
+    child = SimpleNamespace(returncode=0, stdout=said)
+    monkeypatch.setattr(backend.ctypes.util, "find_library", lambda name: "libcuda.so.1")
+    monkeypatch.setattr(backend.subprocess, "run", lambda *_, **__: child)
+    backend.cuda_works.cache_clear()
+    try:
+        assert backend.cuda_works() is ("\nlit\n" in said)
+    finally:
+        backend.cuda_works.cache_clear()
 
 
 def test_properties_aligned_copies_to_wide_addresses() -> None:

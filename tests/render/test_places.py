@@ -160,6 +160,23 @@ def test_properties_blur_of_depth_and_motion(renderer: Renderer) -> None:
         assert np.array_equal(other.labels.instance_id, sharp.labels.instance_id)
 
 
+def test_reference_a_moving_hand_is_drawn_about_its_labels(renderer: Renderer) -> None:
+    """However paths fall on sub-frames, a blur of 13 pixels has its middle at the exposure's."""
+    s = spec(3, "background.empty=1000", "light.constant=1000", "render.spp=5", preset="hand_rgbd")
+    camera, hand = s.scene.cameras[0], s.scene.background.centre_m
+    places = []
+    for length in (0.0, 0.03):
+        shift = tuple(length * camera.T[:3, 0])
+        motion = Motion(hand, shift, (0.0,) * 3, 4)
+        view = first(renderer, replace(s, scene=replace(s.scene, motion=motion)))
+        assert view.linear is not None
+        grey = view.linear.mean(axis=-1)
+        around = float(np.median(grey[view.labels.instance_id == 0]))
+        share = np.clip(1 - grey / around, 0, 1)
+        places.append(float((share * np.arange(share.shape[1])).sum() / share.sum()))
+    assert abs(places[1] - places[0]) < 0.3
+
+
 def occluded() -> SampleSpec:
     for index in range(30):
         s = spec(index, "things.occluder=1", "wear.sleeve=1", "wear.ring=1", *ONLY["room"])

@@ -13,10 +13,12 @@ import pytest
 from synthgen.config import load_config
 from synthgen.errors import FileError
 from synthgen.models import load
+from synthgen.sampling.backgrounds import sample_background
 from synthgen.sampling.draw import draw_sample, surface_of
-from synthgen.sampling.lighting import room_box
+from synthgen.sampling.lighting import room_box, sample_lights
 from synthgen.sampling.spec import SampleSpec
 from synthgen.sampling.stage import Stage
+from synthgen.sampling.streams import stream
 from synthgen.sampling.things import MOST_BOXES, MOST_TURNED
 from synthgen.scene import Scene
 from synthgen.scene.solids import mesh_of
@@ -111,6 +113,33 @@ def test_properties_rooms_hold_cameras_lamps_and_hand() -> None:
         assert scene.lights.area
         assert scene.lights.sky is None
     assert rooms > 5
+
+
+def test_properties_walls_stand_behind_hand_and_arm() -> None:
+    """Also of a hand at the edge of a wide picture, which is nearer along the axis than it is."""
+    only = ["background.procedural=1000", "camera.offset=0.5", "camera.fov_deg=[100,120]"]
+    for index in range(30):
+        scene = draw(index, *only).scene
+        wall, camera, subject = scene.background, scene.cameras[0], scene.subjects[0]
+        surface = surface_of(load(subject.model, hand=subject.hand), subject)
+        behind = (surface - np.array(wall.centre_m)) @ camera.T[:3, 2]
+        assert behind.max() < wall.distance_m
+
+
+@pytest.mark.parametrize("kind", ["lamp", "room"])
+@pytest.mark.parametrize("height", [0.15, 0.6])
+def test_properties_lamps_hang_inside_the_room(kind: str, height: float) -> None:
+    """Also where the camera is straight above: a lamp behind a wall leaves the picture black."""
+    hand = np.array([0.1, 1.35, 0.0])
+    eye = hand + [0.01, height, 0.0]
+    for index in range(100):
+        rng = stream(7, "sample", index, 0, "light")
+        room = sample_background("room", hand, 0.2, eye[None], rng=rng)
+        low, high = room_box(room)
+        for lamp in sample_lights(kind, hand, eye, room, rng=rng).area:
+            place = np.array(lamp.position_m)
+            assert (place > low).all()
+            assert (place < high).all()
 
 
 def test_properties_files_are_recorded_with_their_licence(tmp_path: Path) -> None:

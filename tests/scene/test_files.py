@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,7 +14,7 @@ import OpenEXR
 import pytest
 
 from synthgen.errors import FileError
-from synthgen.scene.files import candidates, checked, read_image, read_panorama
+from synthgen.scene.files import candidates, checked, listing_digest, read_image, read_panorama
 
 
 def write_exr(path: Path, **planes: np.ndarray) -> Path:
@@ -54,7 +55,6 @@ def test_edge_folders(tmp_path: Path) -> None:
         candidates(str(tmp_path / "none"), "image")
     (tmp_path / "b.png").write_bytes(b"x")
     (tmp_path / "a.PNG").write_bytes(b"x")
-    candidates.cache_clear()
     assert [p.name for p in candidates(str(tmp_path), "image")] == ["a.PNG", "b.png"]
 
 
@@ -65,6 +65,52 @@ def test_edge_bomb_is_refused_from_its_header(tmp_path: Path) -> None:
     )
     with pytest.raises(FileError, match="200000 x 200000"):
         checked(path, "image", "CC0")
+
+
+def test_edge_what_only_looks_like_a_file(tmp_path: Path) -> None:
+    """A pipe would be read for ever, a device until memory ends."""
+    os.mkfifo(tmp_path / "a.png")
+    (tmp_path / "b.png").symlink_to("/dev/zero")
+    (tmp_path / "c.png").mkdir()
+    (tmp_path / "d.png").symlink_to(tmp_path / "nowhere.png")
+    for name in "abc":
+        with pytest.raises(FileError, match="folder, pipe or device"):
+            checked(tmp_path / f"{name}.png", "image", "CC0")
+    with pytest.raises(FileError, match="No such file"):
+        checked(tmp_path / "d.png", "image", "CC0")
+    with pytest.raises(FileError, match="holds no"):
+        candidates(str(tmp_path), "image")
+
+
+def test_edge_panoramas_that_are_small_until_decoded(tmp_path: Path) -> None:
+    flat = np.zeros((1024, 2048), np.float32)
+    many = {c: flat for c in "RGB"} | {f"X{k:03d}": flat for k in range(300)}
+    path = write_exr(tmp_path / "many.exr", **many)
+    assert path.stat().st_size < 4 * 2**20
+    with pytest.raises(FileError, match="303 channels of 2048 x 1024"):
+        checked(path, "panorama", "CC0")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header["displayWindow"] = (np.array([0, 0], np.int32), np.array([63, 31], np.int32))
+    parts = [
+        OpenEXR.Part(header | {"name": name}, {c: flat[:h, :64] + 1 for c in "RGB"})
+        for name, h in (("a", 32), ("b", 1024))
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "parts.exr"))
+    with pytest.raises(FileError, match=r"2 part\(s\)"):
+        checked(tmp_path / "parts.exr", "panorama", "CC0")
+
+
+def test_properties_a_file_that_changed_is_described_anew(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.zeros((40, 40, 3), np.uint8))
+    first, listed = checked(path, "image", "CC0"), listing_digest(str(tmp_path), "image")
+    cv2.imwrite(str(path), np.full((50, 50, 3), 9, np.uint8))
+    cv2.imwrite(str(tmp_path / "b.png"), np.full((50, 50, 3), 9, np.uint8))
+    again = checked(path, "image", "CC0")
+    assert again.sha256 != first.sha256
+    assert read_image(again).shape == (50, 50, 3)
+    assert len(candidates(str(tmp_path), "image")) == 2
+    assert listing_digest(str(tmp_path), "image") != listed
 
 
 def test_edge_no_pictures(tmp_path: Path) -> None:
