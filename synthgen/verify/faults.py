@@ -205,6 +205,18 @@ def _all_visible(hand: dict[str, Any]) -> None:
     hand["keypoints_state"] = [2 if s else 0 for s in hand["keypoints_state"]]
 
 
+def _corner_and_size(hand: dict[str, Any]) -> None:
+    if hand["box_xyxy"] is not None:
+        left, top, right, bottom = hand["box_xyxy"]
+        hand["box_xyxy"] = [left, top, right - left + 1, bottom - top + 1]
+
+
+def _other_names(view: ViewDraft) -> None:
+    """Name the keypoints in MANO's order of fingers; their coordinates stay."""
+    names = view.meta["keypoint_names"]
+    view.meta["keypoint_names"] = [names[0], *names[5:], *names[1:5]]
+
+
 def _undistorted(view: ViewDraft) -> None:
     view.meta["distortion"] = [0.0] * 5
 
@@ -248,6 +260,9 @@ FAULTS: dict[str, Fault] = {
     "hidden keypoints called visible": Fault(
         _hands(_all_visible), absent="no keypoint is hidden", witness="visible"
     ),
+    "keypoints named in another order": Fault(_views(_other_names)),
+    # as COCO has them
+    "boxes as corner and size": Fault(_hands(_corner_and_size), "labels"),
     "principal point half a pixel off": Fault(_views(_half_pixel_K)),
     "intrinsics from before a crop": Fault(_views(_crop), "labels"),
     "distortion forgotten": Fault(
@@ -279,8 +294,16 @@ FAULTS: dict[str, Fault] = {
     "normals away from the camera": Fault(
         _array("normals", lambda view: -view["normals"]), "labels", witness="normals"
     ),
+    "barycentrics of other corners": Fault(
+        _array("stored_faces", lambda view: view["stored_faces"][..., [0, 2, 1]]),
+        "labels",
+        witness="barycentrics",
+    ),
     "texture upside down": Fault(
         _array("uv", lambda view: view["uv"] * [1, -1] + [0, 1]), "labels", witness="uv"
+    ),
+    "list of objects forgotten": Fault(
+        _views(lambda view: view.meta.update(objects=[])), "labels", _WORN
     ),
     # as compositing does
     "objects left out of the ids": Fault(
