@@ -96,7 +96,7 @@ def check_exr(record: Record, view: View) -> None:
 
 
 def _check_linear(record: Record, linear: NDArray[Any], image: NDArray[Any]) -> None:
-    """The picture is this radiance through a camera: as bright where it is, and of its hue."""
+    """Check that the picture is this radiance through a camera: as bright, and of its hue."""
     alike = _rank_correlation(linear.sum(axis=2), image.sum(axis=2))
     if alike is None:
         record.skip("exr picture", "the picture has no contrast")

@@ -88,6 +88,24 @@ def _scan(change: Callable[[Any, Any], tuple[Any, Any]]) -> Callable[[Draft, Dra
     return apply
 
 
+def _scan_label(
+    name: str, change: Callable[[NDArray[Any]], NDArray[Any]]
+) -> Callable[[Draft, Draft], None]:
+    """Change one array of a scan, or of its provenance, where it has that."""
+
+    def apply(draft: Draft, _: Draft) -> None:
+        scan = draft.scan
+        if scan is None or "error_m" not in scan.provenance:
+            return
+        if name in scan.provenance:
+            told = scan.provenance | {name: change(scan.provenance[name])}
+            draft.scan = replace(scan, provenance=told)
+        else:
+            draft.scan = replace(scan, **{name: change(getattr(scan, name))})
+
+    return apply
+
+
 def _truth(change: Callable[[Subject], None]) -> Callable[[Draft, Draft], None]:
     """Change every subject's parameters; the keypoints follow."""
 
@@ -223,6 +241,7 @@ def _undistorted(view: ViewDraft) -> None:
 
 _GL = np.array([1.0, -1.0, -1.0])
 _MIRROR = np.array([-1.0, 1.0, 1.0])
+_UNSCANNED = "no scanner is simulated: its scans alone have colours and know their errors"
 _WORN = "nothing is worn or before the hands; see things.occluder and wear.* (hand_full)"
 
 FAULTS: dict[str, Fault] = {
@@ -318,4 +337,20 @@ FAULTS: dict[str, Fault] = {
     "scan with OpenGL axes": Fault(_scan(lambda p, n: (p * _GL, n * _GL)), "scan"),
     "scan with inward normals": Fault(_scan(lambda p, n: (p, -n)), "scan"),
     "scan half a centimetre off": Fault(_scan(lambda p, n: (p + 0.003, n)), "scan"),
+    "errors of a scan in millimetres": Fault(
+        _scan_label("error_m", lambda error: 1000 * error), "scan", _UNSCANNED
+    ),
+    "errors of a scan with the other sign": Fault(
+        _scan_label("error_m", lambda error: -error), "scan", _UNSCANNED
+    ),
+    "barycentrics of a scan of other corners": Fault(
+        _scan_label("barycentric", lambda inside: inside[:, [1, 2, 0]]), "scan", _UNSCANNED
+    ),
+    "BGR colours of a scan": Fault(
+        _scan_label("colors", lambda colours: colours[:, ::-1]), "scan", _UNSCANNED
+    ),
+    "texture of a scan upside down": Fault(
+        _scan_label("uv", lambda uv: uv * np.float32([1, -1]) + np.float32([0, 1])), "scan",
+        _UNSCANNED,
+    ),
 }

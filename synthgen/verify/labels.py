@@ -13,6 +13,7 @@ from synthgen.errors import IntegrityError
 from synthgen.scanner import Rig
 from synthgen.verify.checks import check_view
 from synthgen.verify.report import UNREADABLE, Failure, VerifyReport
+from synthgen.verify.scans import check_scan
 from synthgen.verify.stereo import check_stereo, rig_of
 
 
@@ -63,6 +64,7 @@ def _one(report: VerifyReport, corpus: Corpus, position: int, rig: Rig | str) ->
         for view in sample.views:
             check_view(report, sample, view)
             report.views += 1
+        check_scan(report, sample)
         check_stereo(report, rig, sample)
     except UNREADABLE as error:
         message = f"{type(error).__name__}: {error}"
