@@ -184,3 +184,13 @@ def test_properties_every_observable_cell_is_caught(corpus_path: Path) -> None:
     missed = [(c.fault, c.product) for c in found.cells if not c.ok]
     assert not missed
     assert not found.false_alarms
+
+
+def test_edge_hands_that_are_not_listed_are_counted() -> None:
+    trips = [HandTrip(k, k % 2, "fail", "not_converged", "depth") for k in range(25)]
+    lines = _trip_lines(RoundTrip("gt", [*trips, HandTrip(99, 0, "pass", "", "depth")]))
+    assert len(lines) == 22
+    assert sum(line.startswith("sample ") for line in lines) == 20
+    assert any(", hand 1: fail (not_converged)" in line for line in lines)
+    assert lines[20] == "... and 5 more hands (--report FILE holds all)"
+    assert lines[21].startswith("round trip from gt: 25 fail, 1 pass")
