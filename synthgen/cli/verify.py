@@ -137,9 +137,7 @@ def _trip_line(hand: HandTrip) -> str:
     return f"{place}: {hand.verdict} ({hand.reason}){far}"
 
 
-def _self_test(
-    directory: Path, samples: int | None, report: Path | None, progress: bool
-) -> Result:
+def _self_test(directory: Path, samples: int | None, report: Path | None, progress: bool) -> Result:
     """Show the table fault x product."""
     from synthgen.verify.self_test import PRODUCTS, WITNESSES
     from synthgen.verify.self_test import self_test as run

@@ -66,6 +66,9 @@ class Subject:
         self.pose = np.array(subject.pose)
         self.translation = np.array(subject.translation_m)
 
+    def __repr__(self) -> str:
+        return f"<Subject: {self.hand} hand of {self.model}>"
+
     @property
     def description(self) -> HandSubject:
         """The subject as the plan describes it (skin, arm, identity)."""
@@ -116,6 +119,10 @@ class View:
         self._fetch = fetch
         self.key: str = meta["key"]
         self.columns = columns
+
+    def __repr__(self) -> str:
+        hands = ", ".join(f"{row['hand']} hand" for row in self.meta["hands"])
+        return f"<View {self.key}: {hands}; columns {', '.join(sorted(self.columns))}>"
 
     @property
     def stored_member(self) -> Fetch:
@@ -282,6 +289,10 @@ class Sample:
     index: int
     views: tuple[View, ...]
     spec: SampleSpec
+
+    def __repr__(self) -> str:
+        keys = ", ".join(view.key for view in self.views)
+        return f"<Sample {self.index}: {len(self.spec.scene.subjects)} hand(s); views {keys}>"
 
     @cached_property
     def scan(self) -> Scan | None:

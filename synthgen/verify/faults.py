@@ -350,7 +350,8 @@ FAULTS: dict[str, Fault] = {
         _scan_label("colors", lambda colours: colours[:, ::-1]), "scan", _UNSCANNED
     ),
     "texture of a scan upside down": Fault(
-        _scan_label("uv", lambda uv: uv * np.float32([1, -1]) + np.float32([0, 1])), "scan",
+        _scan_label("uv", lambda uv: uv * np.float32([1, -1]) + np.float32([0, 1])),
+        "scan",
         _UNSCANNED,
     ),
 }

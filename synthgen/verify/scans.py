@@ -21,8 +21,8 @@ from synthgen.verify.report import Record, VerifyReport
 from synthgen.verify.stand_in import drawn_hand
 
 Array = NDArray[np.float64]
-# Of a sound scan all errors are as stored to 3e-7 m, 0.2 % of the faces differ and barycentrics
-# agree to 6e-5 (99 %), 0.1 % of the normals face inwards, and colours are the texture's to 3 of 255.
+# Of sound scans all errors are as stored to 3e-7 m, 0.2 % of the faces differ and barycentrics
+# agree to 6e-5 (99 %), 0.1 % of the normals face inwards, colours are the texture's to 3 of 255.
 ERROR_M, SIDES, OTHER_FACE, BARYCENTRIC = 1e-5, 0.01, 0.03, 0.005
 INWARD, COLOUR = 0.02, 12.0
 FEWEST, SKIN_HUE = 150, 1.1
@@ -57,7 +57,7 @@ def _check_truth(record: Record, sample: Sample, scan: Scan) -> None:
     outward = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     off = np.abs(np.sqrt(squared) - np.abs(error))
     record.measure("scan error", np.quantile(off, 0.999), ERROR_M,
-                   "m between stored errors and distances to the true surface (99.9 %)")  # fmt: skip
+                   "m between stored errors and those from the true surface (99.9 %)")  # fmt: skip
     side = np.einsum("nk,nk->n", points - foot, outward)
     clear = np.abs(side) > ERROR_M
     record.measure("scan error side", np.mean(clear & (side * error < 0)), SIDES,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from synthgen.cli.main import main
+from synthgen.cli.verify import _trip_lines
 from synthgen.config import load_config
 from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
@@ -18,7 +19,7 @@ from synthgen.verify import verify
 from synthgen.verify.draft import Draft, write_drafts
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.report import VerifyReport
-from synthgen.verify.roundtrip import RoundTrip, round_trip
+from synthgen.verify.roundtrip import HandTrip, RoundTrip, round_trip
 from synthgen.verify.roundtrip_page import write_page
 from synthgen.verify.self_test import PRODUCTS, ROUND_TRIP, Cell, SelfTest, cell, self_test
 from synthgen.verify.stored_points import stored_points
