@@ -20,7 +20,8 @@ LIBRARIES = (
     "kornia", "numba", "libigl", "scikit-learn", "scikit-image", "pydantic", "PyYAML", "typer",
     "rich", "pyarrow", "jaxtyping", "matplotlib", "threadpoolctl",
 )  # fmt: skip
-REINSTALL = "pip install --force-reinstall synthgen"
+# By folder, never by name: the package index has another project of the name.
+REINSTALL = "run `pip install --force-reinstall .` in a checkout of synthgen"
 
 
 What = Annotated[str | None, typer.Argument(metavar="rig", help="Examine a scanner instead.")]

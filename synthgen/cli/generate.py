@@ -13,7 +13,7 @@ from synthgen.errors import ConfigError
 
 NO_DENOISER = (
     "render.denoise=auto finds no denoiser: pictures stay noisy, and the plan says so; run `pip "
-    "install 'synthgen[denoise]'`, or set a higher render.spp"
+    "install mitsuba-oidn`, or set a higher render.spp"
 )
 
 Workers = Annotated[int, typer.Option("--workers", metavar="W", min=1, help="Processes.")]

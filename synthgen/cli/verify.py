@@ -13,7 +13,7 @@ from synthgen.cli.output import DONE, FAILED, Result, columns, finite
 
 if TYPE_CHECKING:
     from synthgen.verify.report import Failure, VerifyReport
-    from synthgen.verify.roundtrip import RoundTrip
+    from synthgen.verify.roundtrip import HandTrip, RoundTrip
     from synthgen.verify.self_test import Cell
 
 SHOWN = 20
@@ -67,7 +67,7 @@ def verify(
     too little is seen, are counted only.
     """
     if self_test:
-        return _self_test(directory, samples, report)
+        return _self_test(directory, samples, report, not as_json)
     from synthgen.verify.labels import verify as check
 
     found = check(directory, samples=samples, progress=not as_json)
@@ -114,13 +114,10 @@ def _round_trip(
 
 
 def _trip_lines(trip: RoundTrip) -> list[str]:
-    lines = []
-    for hand in trip.worst_first[:SHOWN]:
-        if hand.verdict in ("pass", "labels only"):
-            continue
-        error = hand.figures.get("v2v_seen_mean_mm")
-        far = "" if error is None else f", seen vertices {error:.2f} mm off"
-        lines.append(f"sample {hand.sample}: {hand.verdict} ({hand.reason}){far}")
+    told = [hand for hand in trip.worst_first if hand.verdict not in ("pass", "labels only")]
+    lines = [_trip_line(hand) for hand in told[:SHOWN]]
+    hidden = len(told) - len(lines)
+    lines += [f"... and {hidden} more hands (--report FILE holds all)"] if hidden > 0 else []
     counts = ", ".join(f"{n} {verdict}" for verdict, n in trip.counts.items())
     if set(trip.counts) == {"labels only"}:
         return [f"round trip: none, {counts}: neither depth nor a scan is stored"]
@@ -133,12 +130,19 @@ def _trip_lines(trip: RoundTrip) -> list[str]:
     return [*lines, f"round trip from {trip.start}: {counts}{error}: {state}"]
 
 
-def _self_test(directory: Path, samples: int | None, report: Path | None) -> Result:
+def _trip_line(hand: HandTrip) -> str:
+    error = hand.figures.get("v2v_seen_mean_mm")
+    far = "" if error is None else f", seen vertices {error:.2f} mm off"
+    place = f"sample {hand.sample}" + (f", hand {hand.hand_number}" if hand.hand_number else "")
+    return f"{place}: {hand.verdict} ({hand.reason}){far}"
+
+
+def _self_test(directory: Path, samples: int | None, report: Path | None, progress: bool) -> Result:
     """Show the table fault x product."""
     from synthgen.verify.self_test import PRODUCTS, WITNESSES
     from synthgen.verify.self_test import self_test as run
 
-    found = run(directory) if samples is None else run(directory, samples)
+    found = run(directory, 2 if samples is None else samples, progress=progress)
     payload: dict[str, Any] = found.to_json()
     _save(report, payload)
     by_fault: dict[str, list[str]] = {}

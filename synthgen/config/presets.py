@@ -25,7 +25,7 @@ def data_folder(kind: Literal["configs", "scenes"]) -> Path:
             return folder
     raise ConfigError(
         f"no folder {kind!r}: looked at {installed} and {checkout}. The installation is "
-        "incomplete; install synthgen again"
+        "incomplete; install it again from a checkout"
     )
 
 

@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -220,10 +222,22 @@ def decode_image(data: bytes, what: str, channels: int = 0) -> NDArray[Any]:
 
 def decode_exr(data: bytes) -> dict[str, NDArray[Any]]:
     """Decode the exr column: arrays by channel name (``RGB``, ``Z``, ``part``, ``instance``)."""
+    with _opened(data) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+
+
+def exr_header(data: bytes) -> dict[str, Any]:
+    """Decode the attributes of an exr's header: ``K`` (3, 3) pixels and ``exposure`` are ours."""
+    with _opened(data) as file:
+        return dict(file.header())
+
+
+@contextmanager
+def _opened(data: bytes) -> Iterator[Any]:
     import OpenEXR
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "view.exr"
         path.write_bytes(data)
         with OpenEXR.File(str(path)) as file:
-            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+            yield file

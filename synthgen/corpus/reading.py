@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import operator
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -39,14 +41,26 @@ class Corpus:
     def _read_sidecar(self, shard: int) -> dict[str, Any]:
         return shards.read_sidecar(self.path, shard, self.sidecar_sha256[shard])
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a path: workers of a data loader open it again."""
+        return open_corpus, (self.path,)
+
+    def __repr__(self) -> str:
+        return f"<Corpus {str(self.path)!r}: {len(self)} samples>"
+
     def __len__(self) -> int:
         return len(self._indices)
 
     def __getitem__(self, position: int) -> Sample:
         try:
-            index = self._indices[position]
+            index = self._indices[operator.index(position)]
         except IndexError:
             raise IndexError(f"sample {position} of a corpus of {len(self)}") from None
+        except TypeError:
+            raise TypeError(
+                f"corpus[{position!r}]: one whole number picks one sample; for several, write "
+                "[corpus[k] for k in range(a, b)]"
+            ) from None
         shard = self._shard_of[index]
         members = self._sidecar(shard)["columns"]["meta"]["members"]
         views: list[View] = []
@@ -71,15 +85,17 @@ class Corpus:
         return (self[k] for k in range(len(self)))
 
     def _view(self, shard: int, name: str) -> View:
-        def fetch(column: str, member: str) -> bytes:
-            place = self._sidecar(shard)["columns"][column]["members"][member]
-            return shards.read_member(self.path, column, shard, member, Entry(*place))
-
+        fetch = _Fetch(self, shard)
         try:
             meta: dict[str, Any] = json.loads(fetch("meta", name))
         except ValueError as error:
             raise IntegrityError(f"{name} in shard {shard} is damaged ({error})") from None
         return View(meta, fetch, frozenset(self._sidecar(shard)["columns"]))
+
+    def member(self, shard: int, column: str, name: str) -> bytes:
+        """Return the stored bytes of one member of a shard, by column and full name."""
+        place = self._sidecar(shard)["columns"][column]["members"][name]
+        return shards.read_member(self.path, column, shard, name, Entry(*place))
 
     def stored(self, position: int) -> dict[str, Members]:
         """Return all that is stored of a sample, as bytes: ``{column: {member name: bytes}}``."""
@@ -116,6 +132,17 @@ class Corpus:
     def shard_numbers(self) -> list[int]:
         """Numbers of the shards."""
         return sorted({entry["shard"] for entry in self.manifest["shards"]})
+
+
+@dataclass(frozen=True, eq=False)
+class _Fetch:
+    """Reads members of one shard; views keep it, in other processes, too."""
+
+    corpus: Corpus
+    shard: int
+
+    def __call__(self, column: str, member: str) -> bytes:
+        return self.corpus.member(self.shard, column, member)
 
 
 def open_corpus(path: str | Path) -> Corpus:

@@ -66,6 +66,9 @@ class Subject:
         self.pose = np.array(subject.pose)
         self.translation = np.array(subject.translation_m)
 
+    def __repr__(self) -> str:
+        return f"<Subject: {self.hand} hand of {self.model}>"
+
     @property
     def description(self) -> HandSubject:
         """The subject as the plan describes it (skin, arm, identity)."""
@@ -116,6 +119,10 @@ class View:
         self._fetch = fetch
         self.key: str = meta["key"]
         self.columns = columns
+
+    def __repr__(self) -> str:
+        hands = ", ".join(f"{row['hand']} hand" for row in self.meta["hands"])
+        return f"<View {self.key}: {hands}; columns {', '.join(sorted(self.columns))}>"
 
     @property
     def stored_member(self) -> Fetch:
@@ -194,19 +201,20 @@ class View:
         return self._image("labels", "instance.png", 0)
 
     @cached_property
-    def _faces(self) -> NDArray[np.uint16]:
+    def stored_faces(self) -> NDArray[np.uint16]:
+        """Face + 1 and its first two barycentrics x 65535, (H, W, 3), as stored."""
         return self._image("labels", "face.png", 3)
 
     @property
     def face_id(self) -> NDArray[np.int32]:
         """Face of the model's surface (hand, then arm) per pixel (H, W), -1 off hands."""
-        return self._faces[..., 0].astype(np.int32) - 1
+        return self.stored_faces[..., 0].astype(np.int32) - 1
 
     @property
     def barycentric(self) -> NDArray[np.float32]:
         """Barycentrics (H, W, 3) in that face; zero off hands; stored to 1e-5."""
-        first = self._faces[..., 1:].astype(np.float64) / 65535
-        on = (self._faces[..., :1] > 0).astype(np.float64)
+        first = self.stored_faces[..., 1:].astype(np.float64) / 65535
+        on = (self.stored_faces[..., :1] > 0).astype(np.float64)
         third = np.clip(1 - first.sum(axis=-1, keepdims=True), 0, 1) * on
         return np.concatenate([first, third], axis=-1).astype(np.float32)
 
@@ -281,6 +289,10 @@ class Sample:
     index: int
     views: tuple[View, ...]
     spec: SampleSpec
+
+    def __repr__(self) -> str:
+        keys = ", ".join(view.key for view in self.views)
+        return f"<Sample {self.index}: {len(self.spec.scene.subjects)} hand(s); views {keys}>"
 
     @cached_property
     def scan(self) -> Scan | None:

@@ -27,7 +27,7 @@ def denoise(linear: Image, guides: Guides) -> Image:
     except ImportError as error:
         raise BackendError(
             f"the plan asks for the denoiser oidn, which is not installed ({error}); run `pip "
-            "install 'synthgen[denoise]'`, or set render.denoise=none and a higher render.spp"
+            "install mitsuba-oidn`, or set render.denoise=none and a higher render.spp"
         ) from None
     done = module.denoise(
         np.ascontiguousarray(linear), albedo=guides.albedo, normal=guides.normal, hdr=True

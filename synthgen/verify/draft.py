@@ -56,6 +56,7 @@ STORED: dict[str, tuple[str, str, Callable[[NDArray[Any]], bytes]]] = {
     "part_id": ("labels", "part.png", png),
     "normals": ("labels", "normals.png", _normals),
     "uv": ("labels", "uv.png", _uv),
+    "stored_faces": ("labels", "face.png", png),
 }
 
 

@@ -88,6 +88,24 @@ def _scan(change: Callable[[Any, Any], tuple[Any, Any]]) -> Callable[[Draft, Dra
     return apply
 
 
+def _scan_label(
+    name: str, change: Callable[[NDArray[Any]], NDArray[Any]]
+) -> Callable[[Draft, Draft], None]:
+    """Change one array of a scan, or of its provenance, where it has that."""
+
+    def apply(draft: Draft, _: Draft) -> None:
+        scan = draft.scan
+        if scan is None or "error_m" not in scan.provenance:
+            return
+        if name in scan.provenance:
+            told = scan.provenance | {name: change(scan.provenance[name])}
+            draft.scan = replace(scan, provenance=told)
+        else:
+            draft.scan = replace(scan, **{name: change(getattr(scan, name))})
+
+    return apply
+
+
 def _truth(change: Callable[[Subject], None]) -> Callable[[Draft, Draft], None]:
     """Change every subject's parameters; the keypoints follow."""
 
@@ -205,12 +223,25 @@ def _all_visible(hand: dict[str, Any]) -> None:
     hand["keypoints_state"] = [2 if s else 0 for s in hand["keypoints_state"]]
 
 
+def _corner_and_size(hand: dict[str, Any]) -> None:
+    if hand["box_xyxy"] is not None:
+        left, top, right, bottom = hand["box_xyxy"]
+        hand["box_xyxy"] = [left, top, right - left + 1, bottom - top + 1]
+
+
+def _other_names(view: ViewDraft) -> None:
+    """Name the keypoints in MANO's order of fingers; their coordinates stay."""
+    names = view.meta["keypoint_names"]
+    view.meta["keypoint_names"] = [names[0], *names[5:], *names[1:5]]
+
+
 def _undistorted(view: ViewDraft) -> None:
     view.meta["distortion"] = [0.0] * 5
 
 
 _GL = np.array([1.0, -1.0, -1.0])
 _MIRROR = np.array([-1.0, 1.0, 1.0])
+_UNSCANNED = "no scanner is simulated: its scans alone have colours and know their errors"
 _WORN = "nothing is worn or before the hands; see things.occluder and wear.* (hand_full)"
 
 FAULTS: dict[str, Fault] = {
@@ -248,6 +279,9 @@ FAULTS: dict[str, Fault] = {
     "hidden keypoints called visible": Fault(
         _hands(_all_visible), absent="no keypoint is hidden", witness="visible"
     ),
+    "keypoints named in another order": Fault(_views(_other_names)),
+    # as COCO has them
+    "boxes as corner and size": Fault(_hands(_corner_and_size), "labels"),
     "principal point half a pixel off": Fault(_views(_half_pixel_K)),
     "intrinsics from before a crop": Fault(_views(_crop), "labels"),
     "distortion forgotten": Fault(
@@ -279,8 +313,16 @@ FAULTS: dict[str, Fault] = {
     "normals away from the camera": Fault(
         _array("normals", lambda view: -view["normals"]), "labels", witness="normals"
     ),
+    "barycentrics of other corners": Fault(
+        _array("stored_faces", lambda view: view["stored_faces"][..., [0, 2, 1]]),
+        "labels",
+        witness="barycentrics",
+    ),
     "texture upside down": Fault(
         _array("uv", lambda view: view["uv"] * [1, -1] + [0, 1]), "labels", witness="uv"
+    ),
+    "list of objects forgotten": Fault(
+        _views(lambda view: view.meta.update(objects=[])), "labels", _WORN
     ),
     # as compositing does
     "objects left out of the ids": Fault(
@@ -295,4 +337,21 @@ FAULTS: dict[str, Fault] = {
     "scan with OpenGL axes": Fault(_scan(lambda p, n: (p * _GL, n * _GL)), "scan"),
     "scan with inward normals": Fault(_scan(lambda p, n: (p, -n)), "scan"),
     "scan half a centimetre off": Fault(_scan(lambda p, n: (p + 0.003, n)), "scan"),
+    "errors of a scan in millimetres": Fault(
+        _scan_label("error_m", lambda error: 1000 * error), "scan", _UNSCANNED
+    ),
+    "errors of a scan with the other sign": Fault(
+        _scan_label("error_m", lambda error: -error), "scan", _UNSCANNED
+    ),
+    "barycentrics of a scan of other corners": Fault(
+        _scan_label("barycentric", lambda inside: inside[:, [1, 2, 0]]), "scan", _UNSCANNED
+    ),
+    "BGR colours of a scan": Fault(
+        _scan_label("colors", lambda colours: colours[:, ::-1]), "scan", _UNSCANNED
+    ),
+    "texture of a scan upside down": Fault(
+        _scan_label("uv", lambda uv: uv * np.float32([1, -1]) + np.float32([0, 1])),
+        "scan",
+        _UNSCANNED,
+    ),
 }

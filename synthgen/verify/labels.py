@@ -9,10 +9,11 @@ from rich.progress import Progress
 
 from synthgen.corpus import Corpus, open_corpus, shards
 from synthgen.corpus.checksums import damaged_files
-from synthgen.errors import IntegrityError, SynthgenError
+from synthgen.errors import IntegrityError
 from synthgen.scanner import Rig
 from synthgen.verify.checks import check_view
-from synthgen.verify.report import Failure, VerifyReport
+from synthgen.verify.report import UNREADABLE, Failure, VerifyReport
+from synthgen.verify.scans import check_scan
 from synthgen.verify.stereo import check_stereo, rig_of
 
 
@@ -63,8 +64,9 @@ def _one(report: VerifyReport, corpus: Corpus, position: int, rig: Rig | str) ->
         for view in sample.views:
             check_view(report, sample, view)
             report.views += 1
+        check_scan(report, sample)
         check_stereo(report, rig, sample)
-    except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
+    except UNREADABLE as error:
         message = f"{type(error).__name__}: {error}"
         number = corpus.index_of(position)
         report.failures.append(Failure(number, -1, "readable", 1.0, 0.0, message))

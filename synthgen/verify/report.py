@@ -6,6 +6,14 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import cv2
+
+from synthgen.errors import SynthgenError
+
+# What reading damaged labels may raise: a finding about that sample, not the end of the others'.
+UNREADABLE = (SynthgenError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
+              StopIteration, cv2.error)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -67,8 +75,10 @@ class VerifyReport:
         times: int = 1,
     ) -> None:
         """Record a measurement, of so many things, that must not exceed its limit (NaN fails)."""
-        seen = self.worst.get(check, (-float("inf"), limit))[0]
-        self.worst[check] = (max(seen, value) if value == value else value, limit)
+        # limits may differ from picture to picture: the worst is what comes nearest to its own
+        known, bound = self.worst.get(check, (-float("inf"), limit))
+        if known == known and not value - limit <= known - bound:
+            self.worst[check] = (value, limit)
         self.judged[check] += times
         if not value <= limit:
             self.failures.append(Failure(sample, view, check, value, limit, message))

@@ -33,6 +33,7 @@ from synthgen.verify.against_truth import (
     truth_explained,
     truth_fits_as_well,
 )
+from synthgen.verify.report import UNREADABLE
 from synthgen.verify.stored_points import StoredPoints, stored_points
 
 Array = NDArray[np.float64]
@@ -137,7 +138,7 @@ def round_trip(
         for position in bar.track(chosen, description="round trip"):
             try:
                 trips += sample_trips(corpus[position], start)
-            except (SynthgenError, ValueError, KeyError, TypeError, IndexError) as error:
+            except UNREADABLE as error:
                 number, message = corpus.index_of(position), f"{type(error).__name__}: {error}"
                 trips.append(HandTrip(number, 0, "truth_mismatch", message, "unreadable"))
     return RoundTrip(start, trips)

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from synthgen.corpus import Corpus, open_corpus
 from synthgen.verify.draft import Draft, write_drafts
@@ -51,16 +53,32 @@ WITNESSES = {
     "mask": "z-buffer, not Mitsuba",
     "part": "instances",
     "object part": "the plan",
-    "object pixels": "counting",
+    "meta": "the names and units that readers rely on, the plan",
+    "objects": "the plan",
+    "box": "counting",
+    "pixels": "counting",
+    "exr K": "the view's own calibration",
+    "exr ids": "the label images",
+    "exr depth": "the depth column",
+    "exr picture": "brightness of the picture",
+    "exr channels": "hue of the picture",
     "depth": "z-buffer, not Mitsuba",
     "face": "z-buffer, not Mitsuba",
     "uv": "the model's atlas",
+    "barycentrics": "z-buffer, not Mitsuba",
     "parts": "the model's part table",
     "normal length": "geometry",
     "normals": "differences of the depth map",
     "skin hue": "colour of skin under the recorded light",
     "stale image": "edges and shading of the picture",
     "mirrored image": "edges of the picture",
+    "scan error": "closest points on the surface as drawn",
+    "scan error side": "closest points on the surface as drawn",
+    "scan faces": "closest points on the surface as drawn",
+    "scan barycentrics": "closest points on the surface as drawn",
+    "scan normals": "closest points on the surface as drawn",
+    "scan texture": "colours of the vertices",
+    "scan colours": "colour of skin",
     "stereo units": "the scan's own report",
     "stereo cameras": "the rig's file and the scanner's seed",
     "stereo rows": "plain matrix products",
@@ -155,7 +173,9 @@ class SelfTest:
                 "false_alarms": list(self.false_alarms), "cells": cells}  # fmt: skip
 
 
-def self_test(path: str | Path, samples: int = 2, clean: int | None = None) -> SelfTest:
+def self_test(
+    path: str | Path, samples: int = 2, clean: int | None = None, *, progress: bool = False
+) -> SelfTest:
     """Put every fault into ``samples`` samples of a corpus; check ``clean`` untouched ones too.
 
     Parameters
@@ -166,12 +186,18 @@ def self_test(path: str | Path, samples: int = 2, clean: int | None = None) -> S
         For each fault, spread over the corpus.
     clean : int or None
         Untouched samples to look for false alarms in; None: 4 x samples.
+    progress : bool
+        Show a bar on a terminal.
     """
     corpus = open_corpus(path)
-    cells = [cell(corpus, name, fault, product, samples)
-             for name, fault in ALL_FAULTS.items() for product in PRODUCTS]  # fmt: skip
     wanted = min(len(corpus), 4 * samples if clean is None else clean)
-    alarms = [alarm for product in PRODUCTS for alarm in false_alarms(corpus, product, wanted)]
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not (progress and console.is_terminal)) as bar:
+        cells = [cell(corpus, name, fault, product, samples)
+                 for name, fault in bar.track(ALL_FAULTS.items(), description="known defects")
+                 for product in PRODUCTS]  # fmt: skip
+        alarms = [alarm for product in bar.track(tuple(PRODUCTS), description="clean samples")
+                  for alarm in false_alarms(corpus, product, wanted)]  # fmt: skip
     return SelfTest(tuple(cells), wanted, tuple(alarms))
 
 

@@ -29,4 +29,4 @@ def test_edge_a_missing_denoiser_is_said(
     monkeypatch.setattr("synthgen.cli.generate.find_spec", lambda name: None)
     (tmp_path / "mine.txt").write_text("not a corpus")
     assert main(["generate", "hand_full", "--out", str(tmp_path), "--samples", "1"]) == 2
-    assert "synthgen[denoise]" in capsys.readouterr().err
+    assert "pip install mitsuba-oidn" in capsys.readouterr().err

@@ -40,5 +40,5 @@ def test_edge_missing(name: str) -> None:
 
 def test_edge_damaged_installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(presets, "PACKAGE", tmp_path / "synthgen")
-    with pytest.raises(ConfigError, match="install synthgen again"):
+    with pytest.raises(ConfigError, match="install it again from a checkout"):
         data_folder("configs")

@@ -73,3 +73,12 @@ def test_reference_make_targets() -> None:
 
 def test_properties_names_no_path_of_a_machine() -> None:
     assert not re.search(r"/(tmp|root|home|work)/", TEXT)
+
+
+def test_properties_nothing_asks_the_package_index_for_our_name() -> None:
+    """The index has another project called synthgen; ours is installed from a checkout."""
+    texts = {"README.md": TEXT}
+    for path in [*(ROOT / "synthgen").rglob("*.py"), *(ROOT / "configs").glob("*.yaml")]:
+        texts[str(path.relative_to(ROOT))] = path.read_text(encoding="utf-8")
+    asked = re.compile(r"install[\s\"]+(--?[\w-]+\s+)*'?synthgen\b")
+    assert [name for name, text in texts.items() if asked.search(text)] == []

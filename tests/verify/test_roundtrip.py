@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from synthgen.cli.main import main
+from synthgen.cli.verify import _trip_lines
 from synthgen.config import load_config
 from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
@@ -18,7 +19,7 @@ from synthgen.verify import verify
 from synthgen.verify.draft import Draft, write_drafts
 from synthgen.verify.faults import FAULTS
 from synthgen.verify.report import VerifyReport
-from synthgen.verify.roundtrip import RoundTrip, round_trip
+from synthgen.verify.roundtrip import HandTrip, RoundTrip, round_trip
 from synthgen.verify.roundtrip_page import write_page
 from synthgen.verify.self_test import PRODUCTS, ROUND_TRIP, Cell, SelfTest, cell, self_test
 from synthgen.verify.stored_points import stored_points
@@ -184,3 +185,13 @@ def test_properties_every_observable_cell_is_caught(corpus_path: Path) -> None:
     missed = [(c.fault, c.product) for c in found.cells if not c.ok]
     assert not missed
     assert not found.false_alarms
+
+
+def test_edge_hands_that_are_not_listed_are_counted() -> None:
+    trips = [HandTrip(k, k % 2, "fail", "not_converged", "depth") for k in range(25)]
+    lines = _trip_lines(RoundTrip("gt", [*trips, HandTrip(99, 0, "pass", "", "depth")]))
+    assert len(lines) == 22
+    assert sum(line.startswith("sample ") for line in lines) == 20
+    assert any(", hand 1: fail (not_converged)" in line for line in lines)
+    assert lines[20] == "... and 5 more hands (--report FILE holds all)"
+    assert lines[21].startswith("round trip from gt: 25 fail, 1 pass")
