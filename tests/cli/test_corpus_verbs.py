@@ -6,13 +6,16 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import synthgen
+from synthgen.cli.main import main
 
+JsonRun = Callable[..., tuple[int, dict[str, Any]]]
 TINY = ["--set", "render.spp=1", "--set", "render.width=32", "--set", "render.height=32"]
 
 
@@ -22,6 +25,19 @@ def synthgen_command(*words: str) -> tuple[int, dict[str, Any]]:
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.stdout.count("\n") == 1, done.stderr
     return done.returncode, json.loads(done.stdout)
+
+
+@pytest.fixture
+def run_json(capfd: pytest.CaptureFixture[str]) -> JsonRun:
+    """Run a verb with --json in this process, which spares the imports."""
+
+    def run(*words: str) -> tuple[int, dict[str, Any]]:
+        code = main([*words, "--json"])
+        out = capfd.readouterr().out
+        assert out.count("\n") == 1
+        return code, json.loads(out)
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -44,49 +60,48 @@ def test_smoke_corpus_opens(made: Path) -> None:
     assert corpus[0].views[0].image.shape == (32, 32, 3)
 
 
-def test_smoke_plan(tmp_path: Path) -> None:
+def test_smoke_plan(tmp_path: Path, run_json: JsonRun, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "plan"
-    code, payload = synthgen_command("plan", "fixtures", "--out", str(out), "--samples", "2")
+    code, payload = run_json("plan", "fixtures", "--out", str(out), "--samples", "2")
     assert code == 0
     assert payload["samples"] == 2
     assert len((out / "plan.jsonl").read_text().splitlines()) == 2
-    command = [sys.executable, "-m", "synthgen", "plan", "fixtures", "--out", str(out)]
-    said = subprocess.run([*command, "--samples", "3"], capture_output=True, text=True).stdout
+    assert main(["plan", "fixtures", "--out", str(out), "--samples", "3"]) == 0
+    said = capfd.readouterr().out
     assert said == f"3 samples planned in {out / 'plan.jsonl'}\n"  # no bar where nobody looks
 
 
-def test_reference_same_command_finds_nothing_to_do(corpus: Path) -> None:
-    code, payload = synthgen_command("generate", "fixtures", "--out", str(corpus), *TINY)
+def test_reference_same_command_finds_nothing_to_do(corpus: Path, run_json: JsonRun) -> None:
+    code, payload = run_json("generate", "fixtures", "--out", str(corpus), *TINY)
     assert code == 0
     assert (payload["shards_made"], payload["shards_present"]) == (0, 2)
 
 
-def test_edge_other_config_is_refused(corpus: Path) -> None:
+def test_edge_other_config_is_refused(corpus: Path, run_json: JsonRun) -> None:
     before = {p: p.read_bytes() for p in sorted(corpus.rglob("*")) if p.is_file()}
-    code, payload = synthgen_command("generate", "fixtures", "--out", str(corpus))
+    code, payload = run_json("generate", "fixtures", "--out", str(corpus))
     assert code == 2
     assert str(corpus) in payload["error"]
     assert {p: p.read_bytes() for p in sorted(corpus.rglob("*")) if p.is_file()} == before
 
 
-def test_smoke_verify_and_report(corpus: Path, tmp_path: Path) -> None:
+def test_smoke_verify_and_report(corpus: Path, tmp_path: Path, run_json: JsonRun) -> None:
     report = tmp_path / "report.json"
-    code, payload = synthgen_command("verify", str(corpus), "--report", str(report))
+    code, payload = run_json("verify", str(corpus), "--report", str(report))
     assert code == 0, payload["failures"]
     assert payload["ok"] is True
     assert json.loads(report.read_text())["samples"] == 4
 
 
 @pytest.mark.parametrize("name", ["image/000000.tar", "plan.jsonl"])
-def test_edge_verify_names_a_flipped_byte(corpus: Path, name: str) -> None:
+def test_edge_verify_names_a_flipped_byte(
+    corpus: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     content = bytearray((corpus / name).read_bytes())
     content[700] ^= 1
     (corpus / name).write_bytes(content)
-    done = subprocess.run(
-        [sys.executable, "-m", "synthgen", "verify", str(corpus)], capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert name in done.stdout
+    assert main(["verify", str(corpus)]) == 1
+    assert name in capsys.readouterr().out
 
 
 def test_smoke_show_and_remake(corpus: Path) -> None:
@@ -110,26 +125,26 @@ def test_edge_a_sample_that_is_rejected_now_is_not_the_same(
     assert again == {"same": False, "differing": [], "reason": rejected[0]}
 
 
-def test_edge_show_out_of_range(corpus: Path) -> None:
-    code, payload = synthgen_command("show", str(corpus), "--sample", "4")
+def test_edge_show_out_of_range(corpus: Path, run_json: JsonRun) -> None:
+    code, payload = run_json("show", str(corpus), "--sample", "4")
     assert code == 2
     assert "holds samples 0 to 3" in payload["error"]
 
 
-def test_smoke_preview(corpus: Path, tmp_path: Path) -> None:
+def test_smoke_preview(corpus: Path, tmp_path: Path, run_json: JsonRun) -> None:
     page = tmp_path / "page.html"
-    code, payload = synthgen_command("preview", str(corpus), "--out", str(page))
+    code, payload = run_json("preview", str(corpus), "--out", str(page))
     assert (code, payload) == (0, {"gallery": str(page)})
     assert "<img" in page.read_text()
     sheet = tmp_path / "sheet.jpg"
     words = ("preview", str(corpus), "--out", str(page), "--sheet", str(sheet))
-    assert synthgen_command(*words) == (0, {"gallery": str(page), "sheet": str(sheet)})
-    assert synthgen_command(*words[:2], *words[4:]) == (0, {"sheet": str(sheet)})
+    assert run_json(*words) == (0, {"gallery": str(page), "sheet": str(sheet)})
+    assert run_json(*words[:2], *words[4:]) == (0, {"sheet": str(sheet)})
     assert not (corpus / "gallery.html").exists()
 
 
 @pytest.mark.parametrize("verb", ["verify", "preview"])
-def test_edge_no_corpus(verb: str, tmp_path: Path) -> None:
-    code, payload = synthgen_command(verb, str(tmp_path / "none"))
+def test_edge_no_corpus(verb: str, tmp_path: Path, run_json: JsonRun) -> None:
+    code, payload = run_json(verb, str(tmp_path / "none"))
     assert code == 2
     assert "none" in payload["error"]

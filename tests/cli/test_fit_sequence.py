@@ -77,17 +77,26 @@ def test_edge_a_single_scan_has_no_template(
     assert "--template yes is for --sequence" in capsys.readouterr().err
 
 
-@pytest.fixture
-def walk(tmp_path: Path) -> list[str]:
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """A hand that stays, five times, and the words to track it."""
     points, normals = scanned()
-    files = [tmp_path / f"walk{k}.xyz" for k in range(5)]
+    folder = tmp_path_factory.mktemp("walk")
+    files = [folder / f"walk{k}.xyz" for k in range(5)]
     for k, file in enumerate(files):
         np.savetxt(file, np.column_stack([points, normals])[k::2])
-    start = tmp_path / "start.npz"
+    start = folder / "start.npz"
     shape, pose, translation = surface().unpack(truth())
     np.savez(start, shape=shape, pose=pose, translation=translation)
     return ["fit", *map(str, files), "--sequence", "--hand", "right", "--start", str(start)]
+
+
+@pytest.fixture(scope="module")
+def whole(walk: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What tracking them in one go writes."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert main([*walk, "--out", str(out)]) == 0
+    return out
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -107,11 +116,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("stop", ["interrupt", "kill"])
 def test_properties_a_stopped_sequence_goes_on_to_the_same_bytes(
-    stop: str, walk: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    stop: str, walk: list[str], whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    assert main([*walk, "--out", str(whole)]) == 0
+    broken = tmp_path / "broken"
     write, asked = fit_sequence._write, [str(walk[3]), str(walk[4])]
 
     class Killed(BaseException):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -20,6 +22,29 @@ def name_of(path: Path) -> str:
     return path.relative_to(PACKAGE).as_posix()
 
 
+class Shape(NamedTuple):
+    """What the tests ask of a module: trees would weigh on every collection of garbage."""
+
+    docstring: str | None
+    lines: int
+    functions: dict[str, int]
+    globals: list[int]
+
+
+@cache
+def shape_of(path: Path) -> Shape:
+    source = path.read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    functions, globals_ = {}, []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            size = (node.end_lineno or node.lineno) - node.lineno + 1
+            functions[f"{node.name} of line {node.lineno}"] = size
+        elif isinstance(node, ast.Global):
+            globals_.append(node.lineno)
+    return Shape(ast.get_docstring(tree), len(source.splitlines()), functions, globals_)
+
+
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_properties_names(path: Path) -> None:
     assert path.stem not in DRAWERS
@@ -28,23 +53,19 @@ def test_properties_names(path: Path) -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_properties_sizes(path: Path) -> None:
-    source = path.read_text(encoding="utf-8")
-    assert len(source.splitlines()) <= MODULE_WALL
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            size = (node.end_lineno or node.lineno) - node.lineno + 1
-            assert size <= FUNCTION_WALL, f"{node.name} has {size} lines"
+    assert shape_of(path).lines <= MODULE_WALL
+    for name, size in shape_of(path).functions.items():
+        assert size <= FUNCTION_WALL, f"{name} has {size} lines"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_properties_every_module_says_what_it_is(path: Path) -> None:
-    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    assert shape_of(path).docstring
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_properties_no_module_state_that_changes(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        assert not isinstance(node, ast.Global), f"line {node.lineno}: `global`"
+    assert not shape_of(path).globals, "lines with `global`"
 
 
 def test_properties_presets_are_short() -> None:
