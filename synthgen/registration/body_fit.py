@@ -56,10 +56,21 @@ class BodyCandidate:
     @property
     def missed_hands(self) -> list[str]:
         """Sides whose hands alone are badly explained; empty if more of the body is."""
+        parts = self._missed
+        return [side for side, kind in parts] if all(p[1] == "hand" for p in parts) else []
+
+    @property
+    def missed_arms(self) -> list[str]:
+        """Sides whose arms are badly explained, whatever else is."""
+        return [side for side, kind in self._missed if kind == "arm"]
+
+    @property
+    def _missed(self) -> list[tuple[str, str]]:
+        """Side and kind of the parts that are badly explained."""
         if self.judgement.reason != "part_missed":
             return []
         parts = [part.partition("_") for part in self.judgement.parts]
-        return [side for side, _, kind in parts] if all(p[2] == "hand" for p in parts) else []
+        return [(side, kind) for side, _, kind in parts]
 
 
 def fit_body(
@@ -210,6 +221,10 @@ def _searched(search: BodySearch, begin: Array | None) -> tuple[BodyCandidate, s
         found = judged(search, search.finish(x))
         if best is None or found.rank > best.rank:
             best, kind = found, name
+        if sides := best.missed_arms:
+            other = judged(search, search.arms_again(best.placed.x, sides))
+            if other.rank > best.rank:
+                best, kind = other, f"{kind}, arms again"
         if sides := best.missed_hands:
             other = judged(search, search.again(best.placed.x, sides))
             return (other if other.rank > best.rank else best), f"{kind}, hands again"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.models.joints import SIDES
 from synthgen.registration import body_schedule as schedule
+from synthgen.registration.body_arms import arm_begun_afresh
 from synthgen.registration.body_hands import begun_afresh
 from synthgen.registration.body_prior import BodyPriors
 from synthgen.registration.body_schedule import (
@@ -123,6 +124,14 @@ class BodySearch:
         for side in sides:
             x = begun_afresh(self.priors, self.scan, x, side, REFINED_AGAIN)
         self._spent("hands", began)
+        return self.refine(x)
+
+    def arms_again(self, x: Array, sides: Sequence[str]) -> Outcome:
+        """Search some arms among the points that the rest of the body leaves, then their hands."""
+        began = time.process_time()
+        for side in sides:
+            x = self.restarted(arm_begun_afresh(self.priors, self.scan, x, side), side)
+        self._spent("arms", began)
         return self.refine(x)
 
     def restarted(self, x: Array, side: str) -> Array:
