@@ -207,6 +207,7 @@ def run(n: int = FEW) -> dict[str, Any]:
     cold(999)  # compiles the kernels
     rows = [
         *cold_rows("cold, cc0-body", cold_series(n)),
+        *cold_rows("cold, free poses", cold_series(n, 2, spread=1.0)),
         *cold_rows("cold, cc0-supr", cold_series(max(n // 4, 1), 1, name="cc0-supr")),
         *gap_rows(gap_series(n)),
     ]

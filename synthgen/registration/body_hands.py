@@ -51,7 +51,7 @@ ASIDE = (-0.25, 0.25)
 
 @dataclass(frozen=True, eq=False)
 class HandPart:
-    """Forearm and hand of one side as a surface of its own.
+    """Forearm and hand of one side as a surface of its own; or the whole arm.
 
     Attributes
     ----------
@@ -59,31 +59,44 @@ class HandPart:
         Of the part.
     columns : (n',) int64
         Of the body's vector: the part's vector is ``x[columns]``.
+    shoulder : slice or None
+        Of the part's vector; None: the upper arm is no part of it.
     elbow, wrist, hand : slice
         Of the part's vector.
     bone : (3,)
         From elbow to wrist at rest.
     looked : (m,) int64
-        Some vertices of the hand, of the part.
+        Some vertices, of the part: of the hand, or of the whole arm.
     """
 
     surface: BodySurface
     columns: Ids
+    shoulder: slice | None
     elbow: slice
     wrist: slice
     hand: slice
     bone: Array
     looked: Ids
 
+    @property
+    def arm(self) -> Ids:
+        """Angles of the arm in the part's vector, wrist included."""
+        first = [] if self.shoulder is None else [np.r_[self.shoulder]]
+        return np.concatenate([*first, np.r_[self.elbow], np.r_[self.wrist]])
 
-@lru_cache(maxsize=8)
-def hand_part(surface: BodySurface, side: str) -> HandPart:
-    """Separate forearm and hand from a body."""
+
+@lru_cache(maxsize=16)
+def hand_part(surface: BodySurface, side: str, whole_arm: bool = False) -> HandPart:
+    """Separate forearm and hand from a body, or the whole arm."""
     model = surface.model
     own = np.zeros(surface.n_vertices, dtype=bool)
     own[hand_vertices(surface, side)] = True
     looked = own.copy()
-    own |= model.weights.argmax(axis=1) == model.joint_names.index(f"{side}_elbow")
+    bones = ("shoulder", "elbow") if whole_arm else ("elbow",)
+    joints = [model.joint_names.index(f"{side}_{name}") for name in bones]
+    own |= np.isin(model.weights.argmax(axis=1), joints)
+    if whole_arm:
+        looked = own
     ids = np.flatnonzero(own)
     part = separate(model, ids)
     small = BodySurface(part.model)
@@ -97,6 +110,7 @@ def hand_part(surface: BodySurface, side: str) -> HandPart:
     return HandPart(
         surface=small,
         columns=np.concatenate(columns).astype(np.int64),
+        shoulder=small.joint(f"{side}_shoulder") if whole_arm else None,
         elbow=elbow,
         wrist=wrist,
         hand=small.hands[side],
@@ -118,16 +132,16 @@ def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str, refined: i
     own = Scan(scan.points[points], scan.normals[points])
     hand = priors.hands[side]
     y = x[part.columns]
-    known = _terms(priors, part, hand)
-    tight, few, more = _energy(part, own, TIGHT, known), hand.components, hand.more
-    best = _lowered(tight, part, y, TIGHT, more)
+    known = arm_priors(priors, part, hand)
+    tight, few, more = part_energy(part, own, TIGHT, known), hand.components, hand.more
+    best = lowered(tight, part, y, TIGHT, more)
     if refined or _is_lost(part, best.trial):
-        look, rough = (_energy(part, own, stage, known) for stage in (LOOK, ROUGH))
+        look, rough = (part_energy(part, own, stage, known) for stage in (LOOK, ROUGH))
         tried = sorted(_hypotheses(part, hand, y), key=lambda v: look.at(v).cost)
-        ends = [_lowered(rough, part, v, ROUGH, few) for v in tried[: refined or REFINED]]
+        ends = [lowered(rough, part, v, ROUGH, few) for v in tried[: refined or REFINED]]
         ends.sort(key=lambda outcome: outcome.trial.cost)
         last = [
-            _lowered(tight, part, o.x, TIGHT, more) for o in ends[: max(refined // 2, TIGHTENED)]
+            lowered(tight, part, o.x, TIGHT, more) for o in ends[: max(refined // 2, TIGHTENED)]
         ]
         best = min([best, *last], key=lambda outcome: outcome.trial.cost)
     result = x.copy()
@@ -135,7 +149,8 @@ def begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str, refined: i
     return result
 
 
-def _lowered(energy: Energy, part: HandPart, y: Array, stage: BodyStage, fingers: Array) -> Outcome:
+def lowered(energy: Energy, part: HandPart, y: Array, stage: BodyStage, fingers: Array) -> Outcome:
+    """Lower the energy of an arm whose fingers move along some directions (45, k)."""
     basis = _basis(part, fingers)
     return minimise(energy, y, iterations=stage.iterations, basis=basis, damping=1e-3)
 
@@ -159,16 +174,20 @@ def _own_points(placed: BodyPlaced, scan: Scan, side: str) -> Ids:
     return np.asarray(crop[own[near]])
 
 
-def _terms(priors: BodyPriors, part: HandPart, hand: HandPriors) -> list[Term]:
-    """Return the priors of elbow, wrist and fingers."""
-    arm = np.r_[part.elbow, part.wrist]
-    among = np.searchsorted(priors.joints, part.columns[arm])
-    mean, sd = priors.start[part.columns[arm]], priors.sd[among]
+def arm_priors(priors: BodyPriors, part: HandPart, hand: HandPriors) -> list[Term]:
+    """Return the priors of arm and fingers."""
     fingers = [replace(term, where=part.hand) for term in (hand.mixture, hand.complement)]
-    return [GaussianPrior(arm, mean, sd), *fingers]
+    return [arm_prior(priors, part), *fingers]
 
 
-def _energy(part: HandPart, own: Scan, stage: BodyStage, priors: list[Term]) -> Energy:
+def arm_prior(priors: BodyPriors, part: HandPart) -> GaussianPrior:
+    """Return the prior of the arm's angles."""
+    among = np.searchsorted(priors.joints, part.columns[part.arm])
+    return GaussianPrior(part.arm, priors.start[part.columns[part.arm]], priors.sd[among])
+
+
+def part_energy(part: HandPart, own: Scan, stage: BodyStage, priors: list[Term]) -> Energy:
+    """Return the energy of a part over its own points."""
     points, normals = own.points[: stage.points], own.normals[: stage.points]
     weight, rho = stage.n_eff / stage.noise_m**2, GemanMcClure(stage.sigma_m)
     data = ScanToMesh(points, normals, weight, rho, stage.cut_m, stage.cosine, stage.tangential,
@@ -179,11 +198,11 @@ def _energy(part: HandPart, own: Scan, stage: BodyStage, priors: list[Term]) -> 
 
 
 def _basis(part: HandPart, fingers: Array) -> Array:
-    """Directions of elbow, wrist and some finger components."""
-    basis = np.zeros((part.surface.n, 6 + fingers.shape[1]))
-    basis[part.elbow, :3] = np.eye(3)
-    basis[part.wrist, 3:6] = np.eye(3)
-    basis[part.hand, 6:] = fingers
+    """Directions of the arm's joints and some finger components."""
+    arm = part.arm
+    basis = np.zeros((part.surface.n, len(arm) + fingers.shape[1]))
+    basis[arm, np.arange(len(arm))] = 1
+    basis[part.hand, len(arm) :] = fingers
     return basis
 
 

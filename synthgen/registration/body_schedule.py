@@ -47,12 +47,15 @@ class BodyStage(Stage):
         Placement and size; all but the hands; hands in six components; everything.
     betas : int or None
         Shape coefficients that are free; None: all.
+    hand_noise_m : float
+        Standard deviation of hands' points where these weigh apart; see :func:`body_terms`.
     """
 
     hand_points: int = 0
     looked: int = 400
     free: Free = "all"
     betas: int | None = None
+    hand_noise_m: float = 1.2 * MM
 
 
 RIGID = BodyStage(400, 8, 120 * MM, ANYWHERE_M, -0.3, 10 * MM, 40, 0.5, 0.5, ANYWHERE_M,
@@ -67,9 +70,12 @@ NEAR = BodyStage(3000, 10, 6 * MM, 25 * MM, 0.4, 2 * MM, 3000, 0.02, 0.1, 25 * M
                  hand_points=600, looked=500, free="pca")  # fmt: skip
 FINE = BodyStage(6000, 10, 3 * MM, 12 * MM, 0.5, 1 * MM, 6000, hand_points=1500, free="pca")
 # Hands are scanned worse than the rest: smoothed, they would make the whole body thin. The shape is
-# that of the points farther from them.
+# that of the points farther from them; of the last stage these are a term of their own. Both stages
+# take the scan's own noise (:func:`last_stage`): weighed as 1 mm, a scan of 0.2 mm lets
+# priors and hands pull the body off by more than its points do.
 SHAPE, HANDS_M = BodyStage(8000, 4, 3 * MM, 12 * MM, 0.5, 1 * MM, 8000), 0.02
-LAST = replace(FINE, iterations=6, free="all", betas=0)
+LAST = replace(FINE, points=SHAPE.points, n_eff=SHAPE.n_eff + 2 * FINE.hand_points, iterations=6,
+               free="all", betas=0)  # fmt: skip
 
 
 def basis_of(priors: BodyPriors, stage: BodyStage) -> Array:
@@ -91,6 +97,13 @@ def basis_of(priors: BodyPriors, stage: BodyStage) -> Array:
         hand[s.hands[side]] = np.eye(45) if stage.free == "all" else priors.hands[side].components
         columns.append(hand)
     return np.concatenate(columns, axis=1)
+
+
+def shape_basis(priors: BodyPriors) -> Array:
+    """Directions (n, p) of ``SHAPE``: without fingers and wrists, whose points it does not see."""
+    s, basis = priors.surface, basis_of(priors, SHAPE)
+    held = [np.r_[at] for side in SIDES for at in (s.hands[side], s.joint(f"{side}_wrist"))]
+    return basis[:, ~basis[np.concatenate(held)].any(axis=0)]
 
 
 def _outer(priors: BodyPriors) -> Ids:
@@ -152,27 +165,40 @@ def body_terms(
     stage: BodyStage,
     priors: Sequence[Term],
     crops: Sequence[Ids] = (),
+    others: Scan | None = None,
 ) -> list[Term]:
-    """Return the terms of a stage; ``crops`` are points near hands, of which each gives some."""
-    wanted = stage.points + len(crops) * stage.hand_points
-    own = [np.arange(min(stage.points, len(scan.points))), *(c[: stage.hand_points] for c in crops)]
-    ids = np.concatenate(own)
-    weight = stage.n_eff * len(ids) / max(wanted, 1) / stage.noise_m**2
-    rho = GemanMcClure(stage.sigma_m)
-    terms: list[Term] = []
-    if len(ids):
-        walking: dict[str, Ids] | None = {} if stage.sigma_m <= WALK_SIGMA_M else None
-        terms.append(ScanToMesh(scan.points[ids], scan.normals[ids], weight, rho, stage.cut_m,
-                                stage.cosine, stage.tangential, tied=TIED,
-                                memory=walking))  # fmt: skip
+    """Return the terms of a stage; ``crops`` are points near hands, of which each gives some.
+
+    Where the points that are no hand's are known, ``others``, hands are a second term with a noise
+    of their own.
+    """
+    hands = np.concatenate([np.zeros(0, np.int64), *(c[: stage.hand_points] for c in crops)])
+    rest = scan if others is None else others
+    body = np.arange(min(stage.points, len(rest.points)))
+    if others is None:
+        own = [(scan, np.concatenate([body, hands]), stage.noise_m)]
+    else:
+        own = [(rest, body, stage.noise_m), (scan, hands, max(stage.noise_m, stage.hand_noise_m))]
+    each = stage.n_eff / (stage.points + len(crops) * stage.hand_points)
+    data = [_scan_to_mesh(stage, s, ids, each / noise_m**2) for s, ids, noise_m in own if len(ids)]
+    terms: list[Term] = [*data]
     if stage.mesh_to_scan > 0:
-        order, hands = looked_at(surface)
+        order, seen = looked_at(surface)
         some = order[: stage.looked]
         if stage.hand_points:
-            some = np.concatenate([some, hands[: stage.looked // 4]])
-        terms.append(MeshToScan(scan, weight * stage.mesh_to_scan, rho, stage.mesh_cut_m,
+            some = np.concatenate([some, seen[: stage.looked // 4]])
+        weight = stage.mesh_to_scan * sum(term.weight for term in data)
+        terms.append(MeshToScan(scan, weight, GemanMcClure(stage.sigma_m), stage.mesh_cut_m,
                                 max(stage.cosine, 0.2), some=some))  # fmt: skip
     return [*terms, *priors]
+
+
+def _scan_to_mesh(stage: BodyStage, scan: Scan, ids: Ids, each: float) -> ScanToMesh:
+    """Return the term of some points, each of which weighs as much."""
+    walking: dict[str, Ids] | None = {} if stage.sigma_m <= WALK_SIGMA_M else None
+    return ScanToMesh(scan.points[ids], scan.normals[ids], each * len(ids),
+                      GemanMcClure(stage.sigma_m), stage.cut_m, stage.cosine, stage.tangential,
+                      tied=TIED, memory=walking)  # fmt: skip
 
 
 def run_body_stage(
@@ -183,9 +209,10 @@ def run_body_stage(
     priors: Sequence[Term],
     basis: Array | None,
     crops: Sequence[Ids] = (),
+    others: Scan | None = None,
 ) -> Outcome:
     """Run one stage from x."""
-    energy = Energy(surface, body_terms(surface, scan, stage, priors, crops))
+    energy = Energy(surface, body_terms(surface, scan, stage, priors, crops, others))
     return minimise(energy, x, iterations=stage.iterations, basis=basis, damping=1e-3)
 
 
@@ -193,6 +220,7 @@ def logged(stage: BodyStage, outcome: Outcome, cpu_s: float) -> dict[str, Any]:
     """One stage for the report."""
     return {
         "points": stage.points, "hand_points": stage.hand_points, "free": stage.free,
-        "sigma_mm": 1e3 * stage.sigma_m, "steps": outcome.iterations, "stopped": outcome.reason,
+        "sigma_mm": 1e3 * stage.sigma_m, "noise_mm": 1e3 * stage.noise_m,
+        "steps": outcome.iterations, "stopped": outcome.reason,
         "cost": outcome.trial.cost, "cpu_s": cpu_s,
     }  # fmt: skip

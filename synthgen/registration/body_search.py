@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from synthgen.models.joints import SIDES
 from synthgen.registration import body_schedule as schedule
+from synthgen.registration.body_arms import arm_begun_afresh
 from synthgen.registration.body_hands import begun_afresh
 from synthgen.registration.body_prior import BodyPriors
 from synthgen.registration.body_schedule import (
@@ -20,10 +21,12 @@ from synthgen.registration.body_schedule import (
     hand_crops,
     logged,
     run_body_stage,
+    shape_basis,
 )
 from synthgen.registration.body_start import starts
 from synthgen.registration.body_surface import BodySurface
 from synthgen.registration.scan import Scan
+from synthgen.registration.schedule import last_stage, own_noise
 from synthgen.registration.solver import Outcome
 from synthgen.registration.terms import Term
 
@@ -33,25 +36,35 @@ KEPT, REFINED_AGAIN = 2, 16
 
 @dataclass
 class BodySearch:
-    """A search in progress on one scan; ``stages`` and ``seconds`` are for the report."""
+    """A search in progress on one scan; ``stages`` and ``seconds`` are for the report.
+
+    ``noise_m`` is the scan's own about the fit, which the last stages believe.
+    """
 
     priors: BodyPriors
     scan: Scan
     extra: Sequence[Term] = ()
     stages: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    noise_m: float = schedule.LAST.noise_m
 
     @property
     def surface(self) -> BodySurface:
         """The body's surface."""
         return self.priors.surface
 
-    def stage(self, x: Array, stage: BodyStage, crops: Sequence[NDArray[np.int64]] = ()) -> Outcome:
+    def stage(
+        self,
+        x: Array,
+        stage: BodyStage,
+        crops: Sequence[NDArray[np.int64]] = (),
+        others: Scan | None = None,
+    ) -> Outcome:
         """Run one stage from x and remember it."""
         began = time.process_time()
         terms = [*self._priors(stage), *self.extra]
         basis = basis_of(self.priors, stage)
-        outcome = run_body_stage(self.surface, self.scan, x, stage, terms, basis, crops)
+        outcome = run_body_stage(self.surface, self.scan, x, stage, terms, basis, crops, others)
         self.stages.append(logged(stage, outcome, time.process_time() - began))
         return outcome
 
@@ -87,27 +100,23 @@ class BodySearch:
         """Run the last stages."""
         began = time.process_time()
         crops = hand_crops(self.surface.at(x), self.scan)
-        for stage in (schedule.NEAR, schedule.FINE):
-            x = self.stage(x, stage, crops).x
-        outcome = self.stage(self.shaped(x), schedule.LAST, crops)
+        near = self.stage(x, schedule.NEAR, crops)
+        fine = self.stage(near.x, schedule.FINE, crops)
+        self.noise_m = own_noise(fine, min(schedule.FINE.points, len(self.scan.points)))
+        others = schedule.without_hands(self.surface.at(fine.x), self.scan)
+        x = fine.x if others is None else self.shaped(fine.x, others)
+        outcome = self.stage(x, last_stage(schedule.LAST, self.noise_m), crops, others)
         self._spent("finish", began)
         return outcome
 
-    def shaped(self, x: Array) -> Array:
+    def shaped(self, x: Array, others: Scan) -> Array:
         """Fit the shape to the points that are no hand's, fingers and wrists held.
 
         Hands are scanned worse than the rest: smoothed, they would make the whole body thin.
         """
-        own = schedule.without_hands(self.surface.at(x), self.scan)
-        if own is None:
-            return x
+        stage = last_stage(schedule.SHAPE, self.noise_m)
         terms = [*self.priors.terms(), *self.extra]
-        basis = basis_of(self.priors, schedule.SHAPE)
-        for side in SIDES:
-            s = self.surface
-            held = np.concatenate([np.r_[s.hands[side]], np.r_[s.joint(f"{side}_wrist")]])
-            basis = basis[:, ~basis[held].any(axis=0)]
-        return run_body_stage(self.surface, own, x, schedule.SHAPE, terms, basis).x
+        return run_body_stage(self.surface, others, x, stage, terms, shape_basis(self.priors)).x
 
     def again(self, x: Array, sides: Sequence[str]) -> Outcome:
         """Search some hands once more and longer, the rest of the body being in its place."""
@@ -115,6 +124,14 @@ class BodySearch:
         for side in sides:
             x = begun_afresh(self.priors, self.scan, x, side, REFINED_AGAIN)
         self._spent("hands", began)
+        return self.refine(x)
+
+    def arms_again(self, x: Array, sides: Sequence[str]) -> Outcome:
+        """Search some arms among the points that the rest of the body leaves, then their hands."""
+        began = time.process_time()
+        for side in sides:
+            x = self.restarted(arm_begun_afresh(self.priors, self.scan, x, side), side)
+        self._spent("arms", began)
         return self.refine(x)
 
     def restarted(self, x: Array, side: str) -> Array:

@@ -49,7 +49,7 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A prior in its own standard deviations: residuals (m,), rows (m, p), and its least scale."""
+    """A prior in its own standard deviations: residuals (m,), rows (m, n), and its least scale."""
 
     residual: Array
     rows: Array
@@ -63,8 +63,29 @@ class _Held:
         return float(np.clip(known / len(self.rows), self.least, MOST))
 
 
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """Parameters that were fitted before, and held since.
+
+    Attributes
+    ----------
+    columns : slice
+        Where they lie in the vector.
+    basis : (n, p)
+        Directions that were free then: to the first data term and the priors.
+    """
+
+    columns: slice
+    basis: Array
+
+
 def covariance(
-    energy: Energy, trial: Trial, *, basis: Array | None = None, together: float | Array = 1.0
+    energy: Energy,
+    trial: Trial,
+    *,
+    basis: Array | None = None,
+    together: float | Sequence[float] = 1.0,
+    earlier: Earlier | None = None,
 ) -> Array:
     """Return the covariance (n, n) of the parameters at a minimum.
 
@@ -76,34 +97,57 @@ def covariance(
         The minimum, with its matches.
     basis : (n, p) or None
         Directions that were free; the others are known.
-    together : float or (m,)
-        How many points err as one, of all or of each point: 1 for independent noise.
+    together : float or one of each data term
+        How many points err as one: 1 for independent noise.
+    earlier : Earlier or None
+        What is not free, and not known either.
     """
     n = energy.surface.n
-    free = np.eye(n) if basis is None else basis
-    data, held = _Sums(*np.zeros((3, n, n))), []
+    data: list[_Sums] = []
+    held: list[_Held] = []
     for term, match in zip(energy.terms, trial.matches, strict=True):
-        if isinstance(term, ScanToMesh):
-            _add_points(data, term, trial.placed, match, together)
-        elif isinstance(term, MeshToScan):
-            _add_blocks(data, term.blocks(trial.placed, match))
+        if isinstance(term, (ScanToMesh, MeshToScan)):
+            data.append(_Sums(*np.zeros((3, n, n))))
+            if isinstance(term, MeshToScan):
+                _add_blocks(data[-1], term.blocks(trial.placed, match))
+            else:
+                alike = together if isinstance(together, float) else together[len(data) - 1]
+                _add_points(data[-1], term, trial.placed, match, alike)
         else:
             least = FOREIGN if isinstance(term, MixturePrior) else 1.0
-            held += [_held(b, free, least) for b in term.blocks(trial.placed, match)]
-    weighed, slope, spread = (free.T @ m @ free for m in (data.weighed, data.slope, data.spread))
-    prior = _weighted(held, np.ones(len(held)), len(slope))
-    inverse = _inverse(slope + prior, weighed + prior)
+            held += [_held(b, least) for b in term.blocks(trial.placed, match)]
+    prior = _weighted(held, np.ones(len(held)), n)
+    answers = _answers(data, prior, np.eye(n) if basis is None else basis, earlier)
     scales = np.array([one.least for one in held])
     for _ in range(ROUNDS if held else 1):
-        pull = spread + _weighted(held, scales, len(slope))
-        found = inverse @ pull @ inverse
+        found = answers[0] @ _weighted(held, scales, n) @ answers[0].T
+        for sums, answer in zip(data, answers[1:], strict=True):
+            found += answer @ sums.spread @ answer.T
         scales = np.array([one.scale(found) for one in held])
-    return np.asarray(free @ found @ free.T)
+    return np.asarray(found)
 
 
-def _held(block: Block, free: Array, least: float) -> _Held:
+def _answers(
+    data: Sequence[_Sums], prior: Array, free: Array, earlier: Earlier | None
+) -> list[Array]:
+    """By how much (n, n) the parameters give way to the pull of the priors and of each data term.
+
+    What was fitted earlier has answered to the first data term and the priors; the rest follows it.
+    """
+    n = len(prior)
+    slope = sum((one.slope for one in data), prior)
+    last = _inverse(slope, sum((one.weighed for one in data), prior), free)
+    if earlier is None or not data:
+        return [last] * (1 + len(data))
+    first = _inverse(data[0].slope + prior, data[0].weighed + prior, earlier.basis)
+    following = (np.eye(n) - last @ slope)[:, earlier.columns]
+    both = last + following @ first[earlier.columns]
+    return [both, both, *[last] * (len(data) - 1)]
+
+
+def _held(block: Block, least: float) -> _Held:
     root = np.sqrt(block.weight)
-    return _Held(root * block.residual, root[:, None] * (block.rows @ free), least)
+    return _Held(root * block.residual, root[:, None] * block.rows, least)
 
 
 def _weighted(held: Sequence[_Held], scales: Array, n: int) -> Array:
@@ -113,13 +157,17 @@ def _weighted(held: Sequence[_Held], scales: Array, n: int) -> Array:
     return total
 
 
-def _inverse(slope: Array, weighed: Array) -> Array:
-    """Invert the slope, which in no direction is less than a part of what the weights say."""
+def _inverse(slope: Array, weighed: Array, free: Array) -> Array:
+    """Invert the slope (n, n) along free directions (n, p).
+
+    In no direction is it less than a part of what the weights say.
+    """
+    slope, weighed = free.T @ slope @ free, free.T @ weighed @ free
     n = len(weighed)
     low = np.linalg.cholesky(weighed + 1e-12 * np.trace(weighed) / n * np.eye(n))
     root = np.linalg.inv(low)
     values, vectors = np.linalg.eigh(root @ slope @ root.T)
-    turned = vectors.T @ root
+    turned = vectors.T @ root @ free.T
     return np.asarray(turned.T @ (turned / np.maximum(values, LEAST)[:, None]))
 
 
@@ -132,7 +180,7 @@ def _add_blocks(sums: _Sums, blocks: Sequence[Block]) -> None:
 
 
 def _add_points(
-    sums: _Sums, term: ScanToMesh, placed: Placed, match: Pairs, together: float | Array
+    sums: _Sums, term: ScanToMesh, placed: Placed, match: Pairs, together: float
 ) -> None:
     """Add what points say along the normals; a part of them stands for all."""
     some = slice(0, POINTS)
@@ -150,8 +198,7 @@ def _add_points(
     falling = w * (1 - 4 * squared / (term.rho.sigma_m**2 + squared))
     sums.slope += known * (falling.sum() / max(w.sum(), 1e-300))
     part = min(POINTS / max(len(match.squared), 1), 1.0)
-    alike = np.broadcast_to(together, len(match.squared))[some][used]
-    sums.spread += gram(rows, part * alike * (w * residual) ** 2)
+    sums.spread += gram(rows, part * together * (w * residual) ** 2)
     few = slice(0, TURNING)
     turning, bend = normal_rows(placed, triangle[few], b[few], normal[few])
     # Within a radius of curvature; farther off, the closest point leaps to other skin.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,7 @@ class Stage:
         return self.n_eff * min(points / self.points, 1.0)
 
 
+S = TypeVar("S", bound=Stage)
 CLOSE = Stage(1500, 10, 6 * MM, 30 * MM, 0.3, 0.5 * MM, 300, tangential=0.02, mesh_to_scan=0.2)
 NEAR = Stage(3000, 8, 2.5 * MM, 12 * MM, 0.5, 0.3 * MM, 2000, mesh_to_scan=0.1, mesh_cut_m=0.006)
 FINAL = Stage(10_000, 8, 1 * MM, 5 * MM, 0.5, 0.2 * MM, 10_000, prior=0.3)
@@ -216,16 +218,16 @@ def run_stage(
     return minimise(energy, x, iterations=stage.iterations, basis=basis, method=method)
 
 
-def own_noise(outcome: Outcome) -> float:
-    """Return the sd of a scan about a fit, metres, from the median of kept distances."""
+def own_noise(outcome: Outcome, points: int | None = None) -> float:
+    """Return the sd of a scan (its first points) about a fit, from the median of kept distances."""
     pairs = outcome.trial.matches[0]
-    squared = pairs.squared[pairs.kept]
+    squared = pairs.squared[:points][pairs.kept[:points]]
     if len(squared) == 0:
         return 2e-4
     return float(np.clip(np.sqrt(np.median(squared)) / 0.6745, 1e-4, 2e-3))
 
 
-def last_stage(stage: Stage, noise_m: float) -> Stage:
+def last_stage(stage: S, noise_m: float) -> S:
     """Return the final stage at a scan's own noise."""
     return replace(stage, noise_m=noise_m, sigma_m=max(stage.sigma_m, 4 * noise_m),
                    cut_m=max(stage.cut_m, 12 * noise_m))  # fmt: skip

@@ -28,6 +28,17 @@ def test_properties_cold_starts(benchmark: Any) -> None:
 
 
 @pytest.mark.prove
+def test_properties_cold_starts_of_free_poses(benchmark: Any) -> None:
+    """Arms may be where coarse steps do not look for them."""
+    found = benchmark.cold_series(N, 11, spread=1.0)
+    passed = [c for c in found if c.verdict == "pass"]
+    assert len(passed) >= 0.9 * N
+    assert max(c.body for c in passed) <= 2
+    assert max(c.hands for c in passed) <= 8
+    assert np.median([c.cpu_s for c in found[1:]]) <= 3
+
+
+@pytest.mark.prove
 def test_properties_tracking_and_gaps(benchmark: Any) -> None:
     found = benchmark.gap_series(N, 10)
     assert np.mean([f.body for f in found]) <= 0.4

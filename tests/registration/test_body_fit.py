@@ -142,6 +142,12 @@ def test_properties_predictions_are_calibrated(noise_m: float) -> None:
     assert 0.8 < hands < 1.25
 
 
+def test_properties_the_last_stage_believes_the_scans_own_noise() -> None:
+    believed = [stage["noise_mm"] for stage in cold().report["stages"]]
+    assert believed[-2] == 1.0
+    assert believed[-1] == pytest.approx(1e3 * BodyScanSettings().noise_m, rel=0.15)
+
+
 def test_properties_spoiled_hands_do_not_make_the_body_thin() -> None:
     """They are smoothed; the shape is that of the rest."""
     assert errors_mm(cold().vertices)["body"] < 0.45

@@ -15,6 +15,8 @@ from synthgen.registration.body_hands import begun_afresh
 from synthgen.registration.body_prior import body_priors
 from synthgen.registration.body_start import spread_yaws, starts, yaws
 from synthgen.registration.scan import Scan
+from synthgen.registration.schedule import last_stage
+from synthgen.registration.terms import ScanToMesh
 from tests.registration.bodies import NAMES, errors_mm, model, scan, surface, truth
 
 
@@ -81,6 +83,25 @@ def test_properties_data_weighs_as_much_with_few_points() -> None:
     few = replace(scan(), points=scan().points[:350], normals=scan().normals[:350])
     whole, half = (schedule.body_terms(surface(), s, stage, ())[0] for s in (scan(), few))
     assert half.weight == pytest.approx(whole.weight / 2)  # type: ignore[attr-defined]
+
+
+def test_properties_hands_weigh_apart_where_the_others_are_known() -> None:
+    """At 0.2 mm a point of the body says 36 times as much as a hand's, which is scanned worse."""
+    placed = surface().at(truth())
+    crops, others = schedule.hand_crops(placed, scan()), schedule.without_hands(placed, scan())
+    assert others is not None
+    for noise_m, wanted in ((2e-4, 36.0), (2e-3, 1.0)):
+        stage = last_stage(schedule.LAST, noise_m)
+        body, hands = schedule.body_terms(surface(), scan(), stage, (), crops, others)
+        assert isinstance(body, ScanToMesh)
+        assert isinstance(hands, ScanToMesh)
+        each = [term.weight / len(term.points) for term in (body, hands)]
+        assert each[0] == pytest.approx(1 / noise_m**2)
+        assert each[0] / each[1] == pytest.approx(wanted)
+    hand = np.concatenate([schedule.hand_vertices(surface(), side) for side in SIDES])
+    away = cKDTree(placed.vertices[hand]).query(body.points)[0]
+    assert np.median(away) > 0.2
+    assert (away < schedule.HANDS_M).mean() < 0.005  # every third vertex of a hand is looked at
 
 
 @pytest.mark.parametrize("side", SIDES)

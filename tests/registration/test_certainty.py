@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from synthgen.cli import bench
-from synthgen.registration.certainty import FOREIGN, covariance, normal_rows
+from synthgen.registration.certainty import FOREIGN, Earlier, covariance, normal_rows
 from synthgen.registration.correspondences import closest
 from synthgen.registration.fit import fit
 from synthgen.registration.schedule import LAST, stage_terms
@@ -95,6 +95,33 @@ def test_properties_points_that_err_together_tell_less() -> None:
     one, four = of_points(2e-4)[0], of_points(2e-4, 4.0)[0]
     assert (np.diag(four) > np.diag(one)).all()
     assert 1.5 < np.median(np.sqrt(np.diag(four) / np.diag(one))) <= 2
+
+
+def test_reference_in_turn_or_at_once() -> None:
+    """Shape first, the rest after it, from the same points: as if all were fitted together."""
+    s = surface()
+    terms = stage_terms(scan(), LAST, [everywhere(np.full(s.n, 0.3))])
+    energy = Energy(s, terms)
+    trial = energy.at(truth())
+    rest = np.eye(s.n)[:, s.shape.stop :]
+    assert s.shape.start == 0
+    known = covariance(energy, trial, basis=rest)
+    turn = covariance(energy, trial, basis=rest, earlier=Earlier(s.shape, np.eye(s.n)))
+    once = covariance(energy, trial)
+    np.testing.assert_allclose(turn, once, atol=1e-6 * np.abs(once).max())
+    where = s.translation, s.translation
+    assert (np.diag(turn[where]) > 1.3 * np.diag(known[where])).all()
+
+
+def test_properties_what_was_fitted_earlier_is_as_certain_as_then() -> None:
+    s = surface()
+    energy = Energy(s, stage_terms(scan(), LAST, [everywhere(np.full(s.n, 0.3))]))
+    trial, first = energy.at(truth()), np.eye(s.n)[:, s.shape]
+    rest = np.eye(s.n)[:, s.shape.stop :]
+    found = covariance(energy, trial, basis=rest, earlier=Earlier(s.shape, first))
+    alone = covariance(energy, trial, basis=first)
+    own = s.shape, s.shape
+    np.testing.assert_allclose(found[own], alone[own], atol=1e-6 * np.abs(alone[own]).max())
 
 
 def test_reference_sums_of_sparse_rows() -> None:

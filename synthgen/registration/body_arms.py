@@ -1,0 +1,89 @@
+"""Arms of a body begun afresh: in free poses an arm may lie where there is none of its points.
+
+Coarse steps of the whole body pull each arm to the nearest points, and an arm that is raised, bent
+behind the back or crossed is not where the A-pose has it. The points that no other skin explains
+are then that arm's: many poses of the arm alone are tried on them, the best refined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from synthgen.models.joints import SIDES
+from synthgen.registration.body_hands import (
+    FEW_POINTS,
+    HandPart,
+    arm_prior,
+    arm_priors,
+    hand_part,
+    lowered,
+    part_energy,
+)
+from synthgen.registration.body_prior import BodyPriors
+from synthgen.registration.body_schedule import MM, BodyStage
+from synthgen.registration.scan import Scan, nearest
+from synthgen.sampling.streams import stream
+
+Array = NDArray[np.float64]
+WIDE = BodyStage(300, 8, 60 * MM, 400 * MM, -0.3, 8 * MM, 100, 0.3, 0.5, 400 * MM)
+MIDDLE = BodyStage(400, 8, 25 * MM, 150 * MM, 0.0, 4 * MM, 300, 0.1, 0.4, 150 * MM)
+TIGHT = BodyStage(700, 8, 10 * MM, 60 * MM, 0.2, 2 * MM, 1000, 0.05, 0.3, 60 * MM)
+LOOK = replace(WIDE, points=150)
+# Poses drawn, and how many of them each stage refines.
+DRAWN, REFINED = 60, (8, 4, 2)
+# An arm's points: so far from the shoulder at most, so far from other skin at least.
+REACH_M, AWAY_M = 0.9, 0.03
+
+
+def arm_begun_afresh(priors: BodyPriors, scan: Scan, x: Array, side: str) -> Array:
+    """Return x with the best arm and fingers found for one side; x if it has no points."""
+    part, hand = hand_part(priors.surface, side, True), priors.hands[side]
+    own = _own_points(priors, scan, x, side)
+    if len(own.points) < FEW_POINTS:
+        return x
+    known = arm_priors(priors, part, hand)
+    look = part_energy(part, own, LOOK, known)
+    tried = sorted(_hypotheses(priors, part, x, side), key=lambda v: look.at(v).cost)
+    none = hand.components[:, :0]
+    stages = ((WIDE, none), (MIDDLE, hand.components), (TIGHT, hand.components))
+    for (stage, fingers), count in zip(stages, REFINED, strict=True):
+        energy = part_energy(part, own, stage, known)
+        ends = [lowered(energy, part, v, stage, fingers) for v in tried[:count]]
+        tried = [end.x for end in sorted(ends, key=lambda end: end.trial.cost)]
+    result = x.copy()
+    result[part.columns] = tried[0]
+    return result
+
+
+def _own_points(priors: BodyPriors, scan: Scan, x: Array, side: str) -> Scan:
+    """Points within an arm's reach of the shoulder that lie on no other skin."""
+    surface = priors.surface
+    placed, names = surface.at(x), surface.model.joint_names
+    bones = [k for k, name in enumerate(names) if name.startswith((f"{side}_shoulder",
+             f"{side}_elbow", f"{side}_wrist"))]  # fmt: skip
+    first = (surface.hands[side].start - surface.pose.start) // 3
+    bones += range(first, first + 15)
+    others = ~np.isin(surface.model.weights.argmax(axis=1), bones)
+    some = scan.points[: scan.tree_points]
+    shoulder = placed.joints[names.index(f"{side}_shoulder")]
+    near = np.flatnonzero(np.linalg.norm(some - shoulder, axis=1) < REACH_M)
+    distance, _ = nearest(cKDTree(placed.vertices[others]), some[near], AWAY_M)
+    free = near[np.isinf(distance)]
+    return Scan(scan.points[free], scan.normals[free])
+
+
+def _hypotheses(priors: BodyPriors, part: HandPart, x: Array, side: str) -> list[Array]:
+    """Return vectors of the part: the arm as it is, and drawn from its prior with a mean hand."""
+    prior = arm_prior(priors, part)
+    rng = stream(0, "corpus", SIDES.index(side), 0, "arms")
+    result = [x[part.columns]]
+    for _ in range(DRAWN):
+        drawn = result[0].copy()
+        drawn[part.arm] = prior.mean + prior.sd * rng.standard_normal(len(part.arm))
+        drawn[part.hand] = priors.hands[side].mean
+        result.append(drawn)
+    return result
