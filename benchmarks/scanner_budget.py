@@ -1,9 +1,9 @@
 """The default error budget of hand5: term by term, and over twenty scanners.
 
 A manufacturer's 0.2 mm RMS is a statement about scanners: each has its own frozen calibration
-error. ``terms`` adds one error at a time to an exact scanner, ``geometry`` draws calibrations and
-motion without pictures, ``scanners`` scans one hand in full with twenty scanners. About ten CPU
-minutes, most of it ``scanners``.
+error. ``terms`` adds one error at a time to an exact scanner, ``sensors`` leaves what its sensors
+add out, one at a time, ``geometry`` draws calibrations and motion without pictures, ``scanners``
+scans one hand in full with twenty scanners. About twelve CPU minutes, most of it ``scanners``.
 
 The hand's skin has the median tone of a corpus. It moves at 0.2 m/s, slowly; a hand that is held
 still does so at a few centimetres per second. At 1 mm per exposure (0.67 m/s) units that fire
@@ -28,6 +28,7 @@ from synthgen.geometry.normals import unit
 from synthgen.sampling import stream
 from synthgen.scanner import Effects, Scan, ScanScene, load_rig, scan
 from synthgen.scanner.rig import Rig
+from synthgen.scanner.sensor import SENSOR_EFFECTS, without
 from synthgen.scanner.subject import moved
 
 SCANNERS, DRAWS = 20, 100
@@ -48,7 +49,8 @@ NAMES = ("focal length", "principal point", "rotation", "baseline")
 def run(rows: Sequence[str] = (), pictures: Path = Path("out/scanner_budget")) -> dict[str, Any]:
     """Run the parts that are named, or all, and draw what they found."""
     budget = _Budget()
-    parts = {"terms": budget.terms, "geometry": budget.geometry, "scanners": budget.scanners}
+    parts = {"terms": budget.terms, "sensors": budget.sensors, "geometry": budget.geometry,
+             "scanners": budget.scanners}  # fmt: skip
     title = "hand5, one flat hand, fused RMS in millimetres (errors clipped at 2 mm)"
     with threadpool_limits(limits=1):
         table = run_tests(parts, rows, pictures, title)
@@ -75,6 +77,16 @@ class _Budget:
             name = f"+ motion, {speed:.2g} m/s (mean of 3)"
             self.alone[name] = float(np.mean([setting.fused_rms(scan_) for scan_ in found]))
         return [row(f"exact, {name}", value) for name, value in self.alone.items()]
+
+    def sensors(self, _: Path) -> list[Row]:
+        """Leave out what sensors add, one at a time and all of it, before an exact still hand."""
+        names = tuple(SENSOR_EFFECTS)
+        rows = []
+        for off in ((), *((name,) for name in names), names):
+            value = setting.fused_rms(self._scan(without(setting.rig(), off), 0.0, 0, MATT))
+            label = "none of it" if off == names else f"without {off[0]}" if off else "all of it"
+            rows.append(row(f"exact, sensors, {label}", value))
+        return rows
 
     def geometry(self, _: Path) -> list[Row]:
         """Draw calibrations and motion, and see what they do to perfectly matched points."""
