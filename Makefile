@@ -6,10 +6,13 @@ TORCH_INDEX ?=
 OUT         ?= out/demo
 SAMPLES     ?= 32
 WORKERS     ?= 2
+TESTERS     ?= 2
 BENCH       ?= corpus
 
 BIN   := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Whole files go to one of TESTERS processes, so that what a file's tests share is made once.
+TESTS := $(BIN)/python -m pytest -n $(TESTERS) --dist loadfile
 
 # One process, one core: thread pools that fight cost more than they give.
 export OMP_NUM_THREADS      := 1
@@ -41,13 +44,13 @@ demo: $(STAMP)
 	$(BIN)/synthgen preview $(OUT)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(TESTS)
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(TESTS)
 
 prove: $(STAMP)
 	$(BIN)/python -m pytest -m "prove or slow"

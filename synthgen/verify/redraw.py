@@ -80,6 +80,8 @@ def _nearest(layered: Sequence[Layer], draw: Draw, shape: tuple[int, ...]) -> Re
     instance, face = np.zeros(shape, np.int64), np.full(shape, -1, np.int64)
     barycentric, depth = np.zeros((*shape, 3)), np.full(shape, np.inf)
     for layer in layered:
+        if not len(layer.faces):
+            continue
         prim, weights, z = draw(layer.vertices, layer.faces)
         nearer = (prim >= 0) & (z < depth)
         instance[nearer], depth[nearer], face[nearer] = layer.instance, z[nearer], -1
@@ -126,6 +128,8 @@ def _small_faces(mesh: SolidMesh, camera: Camera) -> tuple[Array, Ids]:
         small.append(corners[~large & _inside(local, camera).all(axis=1)])
         vertices, faces = split(*_loose(corners[large & _reaches(local, camera)]))
         corners = vertices[faces]
+        if not len(corners):  # most things are small, or outside the frame
+            break
     return _loose(np.concatenate(small))
 
 
