@@ -23,6 +23,7 @@ from synthgen.registration.body_fit import (
 )
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
+from synthgen.registration.far import near_the_origin
 from synthgen.registration.fitted import Fit, Side
 from synthgen.registration.initialiser import Initialiser, initialiser_of
 from synthgen.registration.inspection import Finding, inspect
@@ -32,10 +33,9 @@ from synthgen.registration.scan import FARTHEST_M, Scan, checked_points, scan_of
 from synthgen.registration.schedule import pca_basis, pca_origin, preset_named
 from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
-from synthgen.registration.statistics import PARTS, Statistics
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
-from synthgen.registration.verdict import Judgement, hidden_parts
+from synthgen.registration.verdict import Judgement, explains_more
 from synthgen.sampling.limits import limits_of
 
 Array = NDArray[np.float64]
@@ -48,6 +48,7 @@ _FLIP = np.array([-1.0, 1.0, 1.0])
 _OFF = {"hand": (None, "auto"), "preset": ("fast",), "components": (None,), "curved": (0.0,)}
 
 
+@near_the_origin
 def fit(
     points: Any,
     normals: Any,
@@ -110,16 +111,8 @@ def fit(
         return _checked(request, points, normals, begin, sides, viewpoints, seed)
 
 
-def check_options(
-    model: BodyModel, start: Start = "cold", hand: str | None = None, preset: str = "fast"
-) -> None:
-    """Refuse what no scan can be fitted with; arguments as :func:`fit`.
-
-    Raises
-    ------
-    ShapeError, ModelError
-        As :func:`fit`.
-    """
+def check_options(model: BodyModel, start: Start, hand: str | None, preset: str) -> None:
+    """Refuse, as :func:`fit` does, what no scan can be fitted with."""
     if isinstance(model, BodyModel) and model.hand is None:
         _only_hands(hand=hand, preset=preset)
         start_vector(body_surface(model), start)
@@ -308,21 +301,9 @@ def _other_side(
     other: Side = "left" if side == "right" else "right"
     run = _Run(request, scan, other, None)
     found = run.search.run(run.vectors[:1])
-    better = found.accepted and explains_more(found.statistics, own.statistics)
-    return Judgement("fail", "other_hand") if better else failed
-
-
-def explains_more(found: Statistics | None, other: Statistics | None) -> bool:
-    """Tell whether a fit explains a scan better than another one does.
-
-    One that was never finished explains nothing. A fit that is accepted need not be better: where
-    it misfits it may claim parts that the scan does not show, and shows nothing of what the other
-    explains.
-    """
-    if found is None or other is None:
-        return found is not None
-    shown = any(part not in hidden_parts(found) for part in PARTS)
-    return shown and found.explained > other.explained and found.noise_m < other.noise_m
+    if found.accepted and explains_more(found.statistics, own.statistics):
+        return Judgement("fail", "other_hand")
+    return failed
 
 
 def _refused(request: _Request, problem: Finding, side: Side, dropped: int) -> Fit:

@@ -74,9 +74,23 @@ def sd_limit_m(noise_m: float, inflation: float = 1.0) -> float:
 
 def biased_parts(s: Statistics) -> tuple[str, ...]:
     """Parts that lie off the scan by more than noise, while the rest of the hand does not."""
-    known = s.biased[np.isfinite(s.biased)]
-    limit = max(BIASED, BIASED_RATIO * float(np.median(known))) if len(known) else np.inf
+    limit = _biased_limit(s)
     return tuple(p for p, share in zip(PARTS, s.biased, strict=True) if share > limit)
+
+
+def _biased_limit(s: Statistics) -> float:
+    known = s.biased[np.isfinite(s.biased)]
+    return max(BIASED, BIASED_RATIO * float(np.median(known))) if len(known) else np.inf
+
+
+def worst_part(s: Statistics, ratio: float, unexplained: float, misfit: bool) -> str:
+    """Part at fault: the one farthest beyond its limits, by whichever statistic tells most.
+
+    A finger bent into its neighbour leaves points that lie nearer to the neighbour, unexplained.
+    """
+    biased = np.zeros(len(PARTS)) if misfit else s.biased / _biased_limit(s)
+    beyond = np.nan_to_num(np.stack([s.ratios / ratio, s.unexplained / unexplained, biased]))
+    return PARTS[int(beyond.max(axis=0).argmax())]
 
 
 def hidden_parts(s: Statistics) -> tuple[str, ...]:
@@ -86,6 +100,19 @@ def hidden_parts(s: Statistics) -> tuple[str, ...]:
     shown = np.minimum(s.tip_coverage / TIP_COVERED, 1.0)
     limits = np.maximum(limit * shown, sd_limit_m(s.noise_m))
     return tuple(p for p, sd, most in zip(PARTS, s.sd95_m, limits, strict=True) if sd > most)
+
+
+def explains_more(found: Statistics | None, other: Statistics | None) -> bool:
+    """Tell whether a fit explains a scan better than another one does.
+
+    One that was never finished explains nothing. A fit that is accepted need not be better: where
+    it misfits it may claim parts that the scan does not show, and shows nothing of what the other
+    explains.
+    """
+    if found is None or other is None:
+        return found is not None
+    shown = any(part not in hidden_parts(found) for part in PARTS)
+    return shown and found.explained > other.explained and found.noise_m < other.noise_m
 
 
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
@@ -104,10 +131,10 @@ def judge(s: Statistics, shape: np.ndarray) -> Judgement:
         return Judgement("fail", "background")
     if len(bad) == 2 and "palm" not in bad:
         return Judgement("fail", "finger_swap", tuple(bad))
-    if bad:
+    if len(bad) == 2:
         return Judgement("fail", "finger_missed", tuple(bad))
-    if s.ratio >= ratio:
-        worst = PARTS[int(np.argmax(np.nan_to_num(s.ratios)))]
+    if bad or s.ratio >= ratio:
+        worst = worst_part(s, ratio, unexplained, misfit)
         return Judgement("fail", "finger_missed", (worst,))
     if not misfit and (wrong := biased_parts(s)):
         return Judgement("fail", "finger_missed", wrong)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from synthgen.registration.statistics import PARTS, Statistics
-from synthgen.registration.verdict import REASONS, judge, sd_limit_m
+from synthgen.registration.statistics import PARTS, Statistics, statistics
+from synthgen.registration.verdict import REASONS, explains_more, judge, sd_limit_m
+from tests.registration.hands import scan, surface, truth
 
 GOOD = Statistics(
     explained=0.995,
@@ -72,6 +73,17 @@ def test_reference_verdicts(change: dict[str, Any], verdict: str, reason: str) -
     assert found.reason in ("", *REASONS)
 
 
+@pytest.mark.parametrize(("number", "degrees"), [(5, -15), (7, 10), (9, 6)])
+@pytest.mark.parametrize("finger", PARTS[1:])
+def test_properties_a_misplaced_finger_is_named(number: int, degrees: float, finger: str) -> None:
+    """Bent in its middle joint, of a pose that is right else; one lies at its neighbour then."""
+    x = truth(number).copy()
+    x[surface().fingers.start + 9 * (PARTS.index(finger) - 1) + 5] += np.deg2rad(degrees)
+    found = statistics(surface().at(x), scan(number), 1e-10 * np.eye(len(x)))
+    judgement = judge(found, x[surface().shape])
+    assert (judgement.reason, judgement.parts) == ("finger_missed", (finger,))
+
+
 def test_reference_extreme_shape() -> None:
     assert judge(GOOD, np.array([5.0, 0])).reason == "shape_limit"
 
@@ -90,3 +102,13 @@ def test_smoke_json_is_json() -> None:
     empty = replace(GOOD, unexplained=np.full(6, np.nan), p95_m=np.full(6, np.nan))
     assert empty.to_json()["parts"]["ring"]["p95_mm"] is None
     assert empty.worst_unexplained == 0
+
+
+def test_properties_a_fit_explains_more_than_another() -> None:
+    worse = replace(GOOD, explained=0.98, noise_m=3e-4)
+    assert explains_more(GOOD, worse)
+    assert not explains_more(worse, GOOD)
+    assert explains_more(worse, None)
+    assert not explains_more(None, GOOD)
+    assert not explains_more(replace(GOOD, explained=0.999), GOOD)
+    assert not explains_more(replace(GOOD, sd95_m=np.full(6, 0.05)), worse)
