@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synthgen.cli.fit import _write, spared
+from synthgen.cli.fit_files import spared, write
 from synthgen.cli.output import DONE, FAILED, Result
 from synthgen.cli.sequence_log import Log, Reel, key_of
 from synthgen.errors import ConfigError, WorkLeft
@@ -27,6 +27,7 @@ def fit_sequence(
     coupled: bool,
     template: str,
     units: str,
+    again: bool,
     progress: bool,
 ) -> Result:
     """Track a subject; results of each frame, ``sequence.json`` and ``sequence.npz`` go to out."""
@@ -44,7 +45,7 @@ def fit_sequence(
     spared(scans, out, reel.names)
     out.mkdir(parents=True, exist_ok=True)
     log = Log(out, reel, key_of(scans, loaded.digest, hand, start, coupled, template, units))
-    place = log.recalled()
+    place = None if again else log.recalled()
     lines = [f"{len(log.reports)} frames were there already"] if log.reports else []
     with Progress(console=Console(stderr=True), transient=True, disable=not progress) as bar:
         task = bar.add_task("frames", total=len(scans), completed=len(log.reports))
@@ -52,7 +53,7 @@ def fit_sequence(
         def done(_: int, found: Fit) -> None:
             k = len(log.reports)
             scan = reel.read.pop(k)
-            log.reports.append(_write(out, reel.names[k], scans[k], scan, found))
+            log.reports.append(write(out, reel.names[k], scans[k], scan, found))
             lines.append(_line(scans[k], scan, found))
             bar.advance(task)
 

@@ -37,11 +37,17 @@ class Result:
     def emit(self, as_json: bool) -> int:
         """Print to stdout and return the exit code."""
         if as_json:
-            typer.echo(json.dumps(finite(self.payload), ensure_ascii=False, allow_nan=False))
+            told = json.dumps(finite(self.payload), ensure_ascii=False, allow_nan=False)
+            typer.echo(printable(told))
         else:
             for line in self.lines:
-                typer.echo(line)
+                typer.echo(printable(line))
         return self.code
+
+
+def printable(text: str) -> str:
+    """Return text that UTF-8 has; other bytes of file names are told as Python tells them."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def finite(value: Any) -> Any:

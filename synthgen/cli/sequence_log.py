@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
-from synthgen.cli.fit import _names
+from synthgen.cli.fit_files import names_of
 from synthgen.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Reel:
     read: dict[int, StoredScan] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.names = _names(self.paths, (WHOLE, STATE))
+        self.names = names_of(self.paths, (WHOLE, STATE))
         for path in self.paths:
             if not path.is_file():
                 raise ShapeError(f"{path}: no such file; name the frames in their order")

@@ -10,6 +10,7 @@ import typer
 
 from synthgen.cli.options import CorpusDir, Json
 from synthgen.cli.output import DONE, FAILED, Result, columns, finite
+from synthgen.errors import ConfigError, nearest
 
 if TYPE_CHECKING:
     from synthgen.verify.report import Failure, VerifyReport
@@ -66,6 +67,7 @@ def verify(
     or the self-test missed a defect. Fits that fail, and hands of which
     too little is seen, are counted only.
     """
+    _checked(directory, start, report, self_test)
     if self_test:
         return _self_test(directory, samples, report, not as_json)
     from synthgen.verify.labels import verify as check
@@ -94,6 +96,28 @@ def verify(
         lines += _trip_lines(trip)
     _save(report, payload)
     return Result(payload, lines, DONE if good else FAILED)
+
+
+def _checked(directory: Path, start: str | None, report: Path | None, self_test: bool) -> None:
+    """Refuse wrong options before anything long is done."""
+    from synthgen.verify.roundtrip import STARTS
+
+    if start is not None and self_test:
+        raise ConfigError(f"--start {start} is no part of --self-test; give one of the two")
+    if start is not None and start not in STARTS:
+        raise ConfigError(
+            f"--start {start!r}; expected {', '.join(STARTS)}{nearest(start, STARTS)}"
+        )
+    if report is None:
+        return
+    place = report.resolve()
+    if report.suffix.lower() != ".json":
+        raise ConfigError(f"--report {report}: expected a file that ends in .json")
+    if place.is_dir() or not place.parent.is_dir():
+        what = "is a folder" if place.is_dir() else f"there is no folder {place.parent}"
+        raise ConfigError(f"--report {report}: {what}; name a file in a folder that exists")
+    if place.is_relative_to(directory.resolve()):
+        raise ConfigError(f"--report {report}: would lie inside the corpus; name a place beside it")
 
 
 def _round_trip(

@@ -14,21 +14,28 @@ from threadpoolctl import threadpool_limits
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
 from synthgen.registration.advice import advice
-from synthgen.registration.body_fit import checked_keypoints, checked_pose, fit_body
+from synthgen.registration.body_fit import (
+    body_surface,
+    checked_keypoints,
+    checked_pose,
+    fit_body,
+    start_vector,
+)
 from synthgen.registration.coarse_model import Starts, coarse_model_of
 from synthgen.registration.coupled import couple
+from synthgen.registration.far import near_the_origin
 from synthgen.registration.fitted import Fit, Side
 from synthgen.registration.initialiser import Initialiser, initialiser_of
 from synthgen.registration.inspection import Finding, inspect
 from synthgen.registration.limit_term import LimitPrior
 from synthgen.registration.prior import learned_prior
-from synthgen.registration.scan import Scan, checked_points, scan_of
+from synthgen.registration.scan import FARTHEST_M, Scan, checked_points, scan_of
 from synthgen.registration.schedule import pca_basis, pca_origin, preset_named
 from synthgen.registration.search import Candidate, Search, Settings
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
-from synthgen.registration.verdict import Judgement
+from synthgen.registration.verdict import Judgement, explains_more
 from synthgen.sampling.limits import limits_of
 
 Array = NDArray[np.float64]
@@ -44,6 +51,7 @@ _FLIP = np.array([-1.0, 1.0, 1.0])
 _OFF = {"hand": (None, "auto"), "preset": ("fast",), "components": (None,), "curved": (0.0,)}
 
 
+@near_the_origin
 def fit(
     points: Any,
     normals: Any,
@@ -104,6 +112,17 @@ def fit(
     sides, begin = _sides(hand), _start(request, start)
     with threadpool_limits(limits=1, user_api="blas"):
         return _checked(request, points, normals, begin, sides, viewpoints, seed)
+
+
+def check_options(model: BodyModel, start: Start, hand: str | None, preset: str) -> None:
+    """Refuse, as :func:`fit` does, what no scan can be fitted with."""
+    if isinstance(model, BodyModel) and model.hand is None:
+        _only_hands(hand=hand, preset=preset)
+        start_vector(body_surface(model), start)
+        return
+    _sides(hand)
+    preset_named(preset)
+    _start(_Request(_right(model), preset, False, None, None, None, 0.0), start)
 
 
 def _only_hands(**given: Any) -> None:
@@ -200,8 +219,8 @@ def _start(request: _Request, start: Start) -> Array | None:
         )
     shape, pose, translation = parts
     x = surface_of(request.model).pack(shape, pose.reshape(-1, 3), translation.ravel())
-    if not np.isfinite(x).all():
-        raise ShapeError("start holds a number that is not finite")
+    if not (np.abs(x) < FARTHEST_M).all():
+        raise ShapeError(f"start holds a number that is not finite, or beyond {FARTHEST_M:g}")
     return x
 
 
@@ -226,7 +245,7 @@ def _fit(
         chosen = searches[side].escalate()
     judgement = chosen.judgement or Judgement("fail", "cold_start_failed")
     if judgement.verdict == "fail" and len(sides) == 1:
-        judgement = _other_side(request, scan, side, judgement)
+        judgement = _other_side(request, scan, side, judgement, chosen)
     return _result(request, searches[side], judgement, chosen, dropped, began)
 
 
@@ -280,11 +299,16 @@ def _mirrored(settings: Settings, x: Array) -> Array:
     return settings.surface.pack(shape, mirror_pose(pose), translation * _FLIP)
 
 
-def _other_side(request: _Request, scan: Scan, side: Side, failed: Judgement) -> Judgement:
-    """See whether the other side fits, after the given one failed."""
+def _other_side(
+    request: _Request, scan: Scan, side: Side, failed: Judgement, own: Candidate
+) -> Judgement:
+    """See whether the other side fits, after the given one failed, and fits better."""
     other: Side = "left" if side == "right" else "right"
     run = _Run(request, scan, other, None)
-    return Judgement("fail", "other_hand") if run.search.run(run.vectors[:1]).accepted else failed
+    found = run.search.run(run.vectors[:1])
+    if found.accepted and explains_more(found.statistics, own.statistics):
+        return Judgement("fail", "other_hand")
+    return failed
 
 
 def _refused(request: _Request, problem: Finding, side: Side, dropped: int) -> Fit:

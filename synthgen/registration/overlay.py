@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthgen.errors import ShapeError
 from synthgen.geometry.cameras import Camera, camera_from_K
 from synthgen.geometry.normals import unit, vertex_normals
 from synthgen.geometry.raster import rasterise
@@ -102,8 +101,8 @@ def save_overlay(path: Path, picture: Picture) -> None:
     """Write a PNG."""
     import cv2
 
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise ShapeError(f"{path}: cannot be written as a picture")
+    # not by imwrite: a path that is no UTF-8 crashes it
+    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())
 
 
 def error_colours(distance_m: Array, worst_m: float = HAND.worst_m) -> Array:
@@ -193,6 +192,7 @@ def _titled(picture: Picture, title: str) -> Picture:
     import cv2
 
     head = np.full((26, picture.shape[1], 3), 255, np.uint8)
-    cv2.putText(head, title[:110], (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (20, 20, 20), 1,
+    plain = title[:110].encode("ascii", "replace").decode()  # OpenCV has no other letters
+    cv2.putText(head, plain, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (20, 20, 20), 1,
                 cv2.LINE_AA)  # fmt: skip
     return np.vstack([head, picture])

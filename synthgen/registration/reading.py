@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from synthgen.errors import ShapeError
 from synthgen.geometry.normals import vertex_normals
 from synthgen.registration.inspection import HAND, UNITS, Expected, extent, units_of
+from synthgen.registration.scan import are_positions
 from synthgen.sampling.streams import stream
 
 Array = NDArray[np.float64]
@@ -19,6 +20,8 @@ MESH_FORMATS, TEXT_FORMATS = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off"), 
 # Coarse meshes are sampled on their faces; those with this share of the points wanted are fine
 # enough to be taken at their vertices.
 FINE = 0.4
+# Steps of float32 far from the origin: said from here on, and refused.
+NOTED_M, COARSE_M = 1e-4, 2e-3
 # Three more numbers beside a point are a normal if they are that near to unit length; or a colour.
 UNIT = 0.05
 
@@ -59,23 +62,48 @@ def read_scan(path: Path, units: str = "auto", expected: Expected = HAND) -> Sto
     ShapeError
         If the file cannot be read as points, or the unit is unknown.
     """
+    kind = check_file(path, units)
+    try:
+        read = _text(path) if kind in TEXT_FORMATS else _mesh(path, expected.points)
+    except Exception as error:  # parsers of foreign formats raise anything
+        why = f"it lacks {error}" if isinstance(error, KeyError) else error
+        raise ShapeError(f"{path}: cannot be read as points: {why}") from error
+    scan = _scaled(read.points, read.normals, units, expected)
+    step_m = read.step * UNITS[scan.units or "m"]
+    if step_m > COARSE_M:
+        raise ShapeError(
+            f"{path}: coordinates so far from the origin are stored as float32 in steps of "
+            f"{1e3 * step_m:.3g} mm; at most {1e3 * COARSE_M:g} mm: subtract an offset before "
+            "saving, or save them as double"
+        )
+    if step_m > NOTED_M:
+        return replace(scan, note=f"{scan.note}; stored in steps of {1e3 * step_m:.2g} mm")
+    return scan
+
+
+def check_file(path: Path, units: str = "auto") -> str:
+    """Refuse what cannot be a scan's file, unread; return its suffix.
+
+    Raises
+    ------
+    ShapeError
+        If there is no such file, or its kind or the unit is unknown.
+    """
     if units != "auto" and units not in UNITS:
         raise ShapeError(f"units={units!r}; expected auto, {', '.join(UNITS)}")
+    if path.is_dir():
+        raise ShapeError(f"{path}: a folder, no scan; name the files in it")
     if not path.is_file():
-        raise ShapeError(f"{path}: no such file")
+        raise ShapeError(f"{path}: {'no regular file' if path.exists() else 'no such file'}")
     kind = path.suffix.lower()
     if kind not in MESH_FORMATS + TEXT_FORMATS:
         known = " ".join(MESH_FORMATS + TEXT_FORMATS)
         raise ShapeError(f"{path}: unknown kind of file {kind!r}; known: {known}")
-    try:
-        points, normals = _text(path) if kind in TEXT_FORMATS else _mesh(path, expected.points)
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OSError) as error:
-        raise ShapeError(f"{path}: cannot be read as points: {error}") from error
-    return _scaled(points, normals, units, expected)
+    return kind
 
 
 def _scaled(points: Array, normals: Array | None, units: str, expected: Expected) -> StoredScan:
-    finite = points[np.isfinite(points).all(axis=1)]
+    finite = points[are_positions(points)]
     if units != "auto":
         return StoredScan(points * UNITS[units], normals, units, f"units: {units}, as given")
     if len(finite) < 20:
@@ -93,18 +121,50 @@ def _scaled(points: Array, normals: Array | None, units: str, expected: Expected
     return StoredScan(points, normals, "", f"{size:.4g} across: {choice}; taken as metres")
 
 
-def _text(path: Path) -> tuple[Array, Array | None]:
-    lines = path.read_text(encoding="utf-8").replace(",", " ").splitlines()
-    rows = [line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """Points and normals of a file, and by how much the least bit of float32 moves them."""
+
+    points: Array
+    normals: Array | None
+    step: float = 0.0
+
+
+def _step(points: Array) -> float:
+    """Return the step of the largest coordinate if all of them are float32, else 0."""
+    finite = points[are_positions(points)]
+    with np.errstate(over="ignore"):
+        single = finite.astype(np.float32)
+    if len(finite) == 0 or not np.array_equal(single, finite):
+        return 0.0
+    return float(np.spacing(np.abs(single).max()))
+
+
+def _text(path: Path) -> _Read:
+    rows: list[list[float]] = []
+    with open(path, encoding="utf-8") as lines:
+        for number, line in enumerate(lines, start=1):
+            words = line.replace(",", " ").split()
+            if words and not words[0].startswith("#"):
+                rows.append(_numbers(words, number, len(rows[0]) if rows else len(words)))
     if not rows:
-        return np.zeros((0, 3)), None
-    table = np.array([[float(word) for word in row] for row in rows], dtype=np.float64)
-    if table.ndim != 2 or table.shape[1] < 3:
-        raise ValueError(f"rows of {table.shape[-1]} numbers; expected x y z [nx ny nz]")
+        return _Read(np.zeros((0, 3)), None)
+    table = np.array(rows, dtype=np.float64)
     normals = table[:, 3:6] if table.shape[1] == 6 else None
     if normals is not None and not _are_unit(normals):
         normals = None  # colours
-    return table[:, :3], normals
+    return _Read(table[:, :3], normals)
+
+
+def _numbers(words: list[str], line: int, expected: int) -> list[float]:
+    """Read one row of a text; as many numbers as in the first."""
+    if len(words) != expected or expected < 3:
+        wanted = expected if expected >= 3 else "x y z [nx ny nz]"
+        raise ValueError(f"line {line} has {len(words)} words; expected {wanted}")
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise ValueError(f"line {line}: {error}") from None
 
 
 def _are_unit(vectors: Array) -> bool:
@@ -113,19 +173,20 @@ def _are_unit(vectors: Array) -> bool:
     return len(known) > 0 and bool((np.abs(known - 1) < UNIT).mean() > 0.9)
 
 
-def _mesh(path: Path, wanted: int) -> tuple[Array, Array | None]:
+def _mesh(path: Path, wanted: int) -> _Read:
     import trimesh
 
     loaded: Any = trimesh.load(path, process=False)
     if isinstance(loaded, trimesh.Scene):
         parts = [g for g in loaded.dump() if hasattr(g, "vertices")]
         if not parts:
-            return np.zeros((0, 3)), None
+            return _Read(np.zeros((0, 3)), None)
         meshes = [p for p in parts if isinstance(p, trimesh.Trimesh)]
         loaded = trimesh.util.concatenate(meshes) if meshes else parts[0]
     points = np.asarray(loaded.vertices, dtype=np.float64)
+    step = _step(points)
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        return points, _ply_normals(loaded)
+        return _Read(points, _ply_normals(loaded), step)
     faces = np.asarray(loaded.faces, dtype=np.int64)
     finite: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     faces = faces[finite[faces].all(axis=1)]
@@ -133,8 +194,8 @@ def _mesh(path: Path, wanted: int) -> tuple[Array, Array | None]:
     normals = vertex_normals(safe, faces)
     if len(points) >= FINE * wanted:
         used = np.unique(faces)
-        return points[used], normals[used]
-    return _sampled(safe, faces, normals, wanted)
+        return _Read(points[used], normals[used], step)
+    return _Read(*_sampled(safe, faces, normals, wanted), step)
 
 
 def _sampled(

@@ -17,6 +17,8 @@ from synthgen.geometry.normals import unit
 from synthgen.sampling.streams import stream
 
 Array = NDArray[np.float64]
+# Numbers beyond this are no positions: squares of theirs overflow in the end.
+FARTHEST_M = 1e12
 # Mesh-to-scan needs density, not every point.
 TREE_POINTS = 15_000
 NEIGHBOURS, WIDE_M = 12, 0.015
@@ -105,7 +107,8 @@ def nearest(
 def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]:
     """Return finite points, their normals, and how many points were dropped.
 
-    Points that are not finite, and points whose normal is not finite or zero, are dropped.
+    Points that are not finite, or beyond 1e12 m, and points whose normal is not finite or zero,
+    are dropped.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]
         return np.zeros((0, 3)), None, 0
     if p.ndim != 2 or p.shape[1] != 3:
         raise ShapeError(f"points have shape {p.shape}; expected (N, 3), metres")
-    good: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=1))
+    good = are_positions(p)
     if normals is None:
         return p[good], None, int((~good).sum())
     n = np.asarray(normals, dtype=np.float64)
@@ -127,6 +130,11 @@ def checked_points(points: Any, normals: Any) -> tuple[Array, Array | None, int]
     length = np.linalg.norm(np.where(good[:, None], n, 0.0), axis=1)
     good &= length > 1e-9
     return p[good], n[good] / length[good, None], int((~good).sum())
+
+
+def are_positions(points: Array) -> NDArray[np.bool_]:
+    """Return (N,) whether a point's coordinates are finite and within 1e12 m."""
+    return np.asarray((np.abs(points) < FARTHEST_M).all(axis=1))
 
 
 def scan_of(

@@ -49,13 +49,15 @@ class Statistics:
         Their own scatter, about local planes: less than ``noise_m`` where the model misfits.
     unexplained : (6,) and p95_m : (6,)
         By part (palm, index, middle, pinky, ring, thumb); NaN where a part has few points.
-    ratio : float
-        Worst part's p95 over the global median, 1 for normal noise, less 2.5 standard errors of
-        that quantile (small parts have few points).
+    ratios : (6,)
+        By part, its p95 over the global median, 1 for normal noise, less 2.5 standard errors of
+        that quantile (small parts have few points); NaN where a part has few points.
     biased : (6,)
         Share of a part's patches whose mean residual is no noise; NaN where it has few.
     coverage : (6,)
         Share of a part's vertices with a scan point within 2.5 mm that faces alike.
+    tip_coverage : (6,)
+        The same of each finger's last phalanx; of the palm as ``coverage``.
     sd_m : (V,)
         Predicted standard deviation of each vertex.
     sd95_m : (6,)
@@ -74,9 +76,10 @@ class Statistics:
     rms_m: float
     unexplained: Array
     p95_m: Array
-    ratio: float
+    ratios: Array
     biased: Array
     coverage: Array
+    tip_coverage: Array
     sd_m: Array
     sd95_m: Array
     inflation: float = 1.0
@@ -86,6 +89,11 @@ class Statistics:
     def worst_unexplained(self) -> float:
         """Largest unexplained share of a part."""
         return float(np.nanmax(self.unexplained, initial=0.0))
+
+    @property
+    def ratio(self) -> float:
+        """Largest p95 of a part over the global median."""
+        return float(np.nanmax(self.ratios, initial=0.0))
 
     @property
     def sd95_all_m(self) -> float:
@@ -100,6 +108,7 @@ class Statistics:
                 "p95_mm": _number(1e3 * self.p95_m[k]),
                 "biased_patches": _number(self.biased[k]),
                 "coverage": _number(self.coverage[k]),
+                "tip_coverage": _number(self.tip_coverage[k]),
                 "predicted_sd95_mm": _number(1e3 * self.sd95_m[k]),
             }
             for k, part in enumerate(PARTS)
@@ -130,6 +139,13 @@ def part_of_vertex(model: BodyModel) -> NDArray[np.int64]:
     """Return (V,) 0 for the palm, 1-5 for the finger that moves each vertex most."""
     joint = model.weights.argmax(axis=1)
     return np.where(joint == 0, 0, (joint + 2) // 3)
+
+
+@lru_cache(maxsize=8)
+def tips_of(model: BodyModel) -> tuple[NDArray[np.bool_], ...]:
+    """Vertices (V,) of the palm, and of each finger's last phalanx, by part."""
+    joint = model.weights.argmax(axis=1)
+    return tuple(joint == 3 * k for k in range(len(PARTS)))
 
 
 def statistics(
@@ -179,9 +195,10 @@ def statistics(
         rms_m=float(np.sqrt(np.mean(distance[inner] ** 2))) if inner.any() else NEAR_M,
         unexplained=unexplained,
         p95_m=p95,
-        ratio=float(np.nanmax(ratios, initial=0.0)),
+        ratios=ratios,
         biased=patches.biased_share(by_vertex, len(PARTS)),
         coverage=np.array([covered[by_vertex == k].mean() for k in range(len(PARTS))]),
+        tip_coverage=np.array([covered[own].mean() for own in tips_of(placed.surface.model)]),
         sd_m=sd,
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
         inflation=inflation,

@@ -240,10 +240,15 @@ def _inner(view: View, again: Redrawn) -> NDArray[np.bool_]:
 def check_depth(record: Record, view: View, again: Redrawn) -> None:
     """Depth against the rasterised surface; a share of pixels, since rims may differ."""
     error = np.abs(view.depth_z_m - again.depth_z_m)[_inner(view, again)]
-    worst = float(np.quantile(error, 0.999)) if len(error) else np.inf
-    record.measure("depth", worst, DEPTH_M, "m from the rasterised surface (99.9 %)")
+    if len(error):
+        worst = float(np.quantile(error, 0.999))
+        record.measure("depth", worst, DEPTH_M, "m from the rasterised surface (99.9 %)")
+    else:
+        record.skip("depth", UNDRAWN)
     sensor, hand = view.sensor_depth_z_m, view.instance_id > 0
-    if sensor is not None and (hand & (sensor > 0)).any():
+    if sensor is not None and not (hand & (sensor > 0)).any():
+        record.skip("sensor depth", "the sensor reports no pixel of a hand")
+    elif sensor is not None:
         off = np.abs(sensor / np.where(view.valid, view.depth_z_m, 1) - 1)[hand & (sensor > 0)]
         record.measure("sensor depth", np.median(off), SENSOR_SHARE, "of the exact depth (median)")
 
@@ -251,8 +256,12 @@ def check_depth(record: Record, view: View, again: Redrawn) -> None:
 def check_surface(record: Record, sample: Sample, view: View, again: Redrawn) -> None:
     """Faces, parts, texture coordinates and normals against the rasterised surface."""
     inner = _inner(view, again)
-    same = inner.sum() / max((again.face >= 0).sum(), 1)
-    record.measure("face", 1 - same, 0.06, "share of hand pixels on another face than rasterised")
+    drawn_pixels = int((again.face >= 0).sum())
+    if drawn_pixels:
+        record.measure("face", 1 - inner.sum() / drawn_pixels, 0.06,
+                       "share of hand pixels on another face than rasterised")  # fmt: skip
+    else:
+        record.skip("face", UNDRAWN)
     for number, subject in enumerate(sample.subjects, start=1):
         own = inner & (again.instance == number)
         if not own.any():
@@ -273,8 +282,11 @@ def check_surface(record: Record, sample: Sample, view: View, again: Redrawn) ->
         record.measure("parts", wrong, 0.005, "share of pixels with another part than their face")
     stored = "depth" in view.columns
     normals = view.normals[view.valid if stored else view.instance_id > 0]
-    length = np.abs(np.linalg.norm(normals, axis=1) - 1).max() if len(normals) else np.inf
-    record.measure("normal length", length, 1e-3, "normals are not unit vectors")
+    if len(normals):
+        length = np.abs(np.linalg.norm(normals, axis=1) - 1).max()
+        record.measure("normal length", length, 1e-3, "normals are not unit vectors")
+    else:
+        record.skip("normal length", "no pixel shows any surface")
     bend = _normal_error(view, view.depth_z_m if stored else again.depth_z_m, inner)
     if bend is None:
         record.skip("normals", f"fewer than {FEWEST_SMOOTH} pixels lie on smooth surface")

@@ -89,6 +89,8 @@ WITNESSES = {
     "disparity offset": "the true disparity",
     "stereo pictures": "correlation of the pictures",
     "stereo picture shift": "correlation of the pictures",
+    "stereo picture place": "offsets of the pictures against slopes of the disparities",
+    "disparity place": "slopes of the true disparity",
     "scan from pairs": "the scan",
     ROUND_TRIP: "registration from the stored points alone",
     "readable": "the decoder",

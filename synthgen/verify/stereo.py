@@ -21,6 +21,7 @@ from synthgen.errors import SynthgenError
 from synthgen.geometry.cameras import Camera
 from synthgen.scanner import Rig, Scan, load_rig, scaled
 from synthgen.verify.disparities import check_disparity, check_pictures, check_true_disparity
+from synthgen.verify.picture_place import check_measured_place, check_place
 from synthgen.verify.report import Record, VerifyReport
 from synthgen.verify.stand_in import drawn_hand
 from synthgen.verify.stereo_pair import FEWEST, Pair
@@ -70,7 +71,9 @@ def check_stereo(report: VerifyReport, rig: Rig | str, sample: Sample) -> None:
         _check_Q(record, pair)
         check_true_disparity(record, pair)
         check_disparity(record, pair)
+        check_measured_place(record, pair)
         check_pictures(record, pair)
+        check_place(record, pair)
         _check_scan(record, pair)
 
 

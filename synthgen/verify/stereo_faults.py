@@ -105,10 +105,25 @@ def _in_rig_frame(draft: Draft, _: Draft) -> None:
             unit.facts[name]["T_world_from_camera"] = T.tolist()
 
 
-def _half_right(image: Array) -> Array:
-    """Move a picture by half a pixel."""
-    mean = (image.astype(np.float64) + np.roll(image, 1, axis=1)) / 2
+def _half_right(image: Array, axis: int = 1) -> Array:
+    """Move a picture by half a pixel (axis 0: down)."""
+    mean = (image.astype(np.float64) + np.roll(image, 1, axis=axis)) / 2
     return np.asarray(np.rint(mean), np.uint8)
+
+
+def _pair_half_off(unit: UnitDraft) -> None:
+    """Move both pictures by half a pixel, as rectification from corners does."""
+    for name in ("left.png", "right.png"):
+        unit[name] = _half_right(unit[name])
+
+
+def _matched_half_off(unit: UnitDraft) -> None:
+    """Move what was measured from such pictures, too."""
+    _pair_half_off(unit)
+    measured = unit["disparity"]
+    unit["disparity"] = measured - np.float32(0.5 / unit.facts["step"]) * (
+        measured - np.roll(measured, 1, axis=1)
+    )
 
 
 def _as_depth(unit: UnitDraft, disparity: Array) -> Array:
@@ -143,6 +158,8 @@ STEREO_FAULTS: dict[str, Fault] = {
     "rectified camera as before rectification": _facts(_raw_camera),
     "pairs left in the rig's frame": Fault(_in_rig_frame, "stereo"),
     "right picture half a pixel off": _array("right.png", _half_right, "stereo pictures"),
+    "both pictures half a pixel off": _units(_pair_half_off, "stereo picture place"),
+    "both pictures half a pixel off, matched": _units(_matched_half_off, "disparity place"),
     "disparity with the opposite sign": _disparities(lambda _, d: -d),
     "disparity half a pixel off": _disparities(lambda _, d: d + np.float32(0.5)),
     "measured disparity half a pixel off": _array(

@@ -93,6 +93,27 @@ def test_smoke_verify_and_report(corpus: Path, tmp_path: Path, run_json: JsonRun
     assert json.loads(report.read_text())["samples"] == 4
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--start", "warm"], "--start 'warm'; expected gt, perturbed, cold"),
+        (["--self-test", "--start", "gt"], "--start gt is no part of --self-test"),
+        (["--report", "r.html"], "--report r.html: expected a file that ends in .json"),
+        (["--report", "nowhere/r.json"], "there is no folder"),
+        (["--report", "CORPUS/MANIFEST.json"], "would lie inside the corpus"),
+        (["--samples", "0"], "Invalid value for '--samples'"),
+    ],
+)
+def test_edge_verify_refuses_wrong_options_at_once(
+    words: list[str], message: str, corpus: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setattr("synthgen.verify.labels.verify", None)  # would be no use
+    given = [word.replace("CORPUS", str(corpus)) for word in words]
+    assert main(["verify", str(corpus), *given]) == 2
+    assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["image/000000.tar", "plan.jsonl"])
 def test_edge_verify_names_a_flipped_byte(
     corpus: Path, name: str, capsys: pytest.CaptureFixture[str]

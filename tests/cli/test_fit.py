@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from synthgen.cli.fit import _names
+from synthgen.cli.fit_files import names_of
 from synthgen.cli.main import main
 from tests.registration.hands import error_mm, scanned, surface, truth
 
@@ -77,11 +77,18 @@ def test_edge_bad_scan_is_a_failed_check(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--start", "nowhere.npz"], "--start nowhere.npz"),
+        (["--start", "nowhere.npz"], "--start 'nowhere.npz': expected cold"),
         (["--hand", "third"], "hand='third'"),
         (["--preset", "slow"], "preset"),
         (["--units", "mile"], "units="),
         (["--model", "no-such-hand"], "no-such-hand"),
+        (["--start", ""], "--start '': expected cold or a fit's .npz"),
+        (["--start", "SCAN"], "this file is no .npz"),
+        (["--start", "words.npz"], "it holds <U1, float64, float64, no numbers"),
+        (["--start", "complex.npz"], "it holds complex128"),
+        (["--start", "huge.npz"], "not finite, or beyond 1e+12"),
+        (["--start", "flat.npz"], "start has shapes"),
+        (["--model", "cc0-body", "--hand", "left"], "hand='left' is for hand models"),
     ],
 )
 def test_edge_wrong_use(
@@ -91,9 +98,45 @@ def test_edge_wrong_use(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    code, payload = run(capsys, "fit", str(scan_file), "--out", str(tmp_path / "out"), *words)
+    shape, pose, translation = surface().unpack(truth())
+    starts = {"words": np.array(["a"]), "complex": shape + 1j, "huge": shape * 1e300,
+              "flat": shape[:, None]}  # fmt: skip
+    for name, first in starts.items():
+        np.savez(tmp_path / f"{name}.npz", shape=first, pose=pose, translation=translation)
+    there = {"SCAN": str(scan_file), **{f"{n}.npz": str(tmp_path / f"{n}.npz") for n in starts}}
+    given = [there.get(word, word) for word in words]
+    code, payload = run(capsys, "fit", str(scan_file), "--out", str(tmp_path / "out"), *given)
     assert code == 2
     assert message in payload["error"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_edge_a_name_that_is_no_utf8(
+    as_json: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """OpenCV crashes on such a path, and a strict terminal refuses it."""
+    import os
+
+    file = tmp_path / os.fsdecode(b"caf\xe9.xyz")
+    file.write_text("0 0 0\n")
+    words = ["--json"] if as_json else []
+    assert main(["fit", str(file), "--out", str(tmp_path / "out"), *words]) == 1
+    assert r"caf\udce9" in capsys.readouterr().out.encode("utf-8", "strict").decode()
+    assert (tmp_path / "out" / os.fsdecode(b"caf\xe9.png")).is_file()
+
+
+def test_properties_a_mesh_far_away_keeps_its_digits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = np.array([4.5e5, 112.0, 5.2e6])
+    np.savetxt(tmp_path / "far.xyz", scanned()[0] + place, fmt="%.6f")
+    out = tmp_path / "out"
+    code, _ = run(capsys, "fit", str(tmp_path / "far.xyz"), "--out", str(out), "--hand", "right")
+    assert code == 0
+    mesh: Any = trimesh.load(out / "far.ply", process=False)
+    assert error_mm(mesh.vertices - place) < 0.5
+    np.testing.assert_array_equal(mesh.faces, surface().faces)
 
 
 def test_edge_a_scan_is_not_written_over(
@@ -107,15 +150,15 @@ def test_edge_a_scan_is_not_written_over(
 
 
 def test_properties_scans_of_one_name_get_results_of_their_own() -> None:
-    names = _names([Path("x/a.ply"), Path("y/a.ply"), Path("z/a_0.ply")])
+    names = names_of([Path("x/a.ply"), Path("y/a.ply"), Path("z/a_0.ply")])
     assert len(set(names)) == 3
 
 
 def test_edge_free_meshes_meet_no_other_scan() -> None:
     """Of x.ply the free mesh is x_free.ply."""
-    names = _names([Path("x.ply"), Path("x_free.ply")])
+    names = names_of([Path("x.ply"), Path("x_free.ply")])
     assert len({*names, *(f"{name}_free" for name in names)}) == 4
-    assert _names([Path("x_free.ply")]) == ["x_free"]
+    assert names_of([Path("x_free.ply")]) == ["x_free"]
 
 
 def test_smoke_train_init(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,7 +120,7 @@ def test_properties_a_stopped_sequence_goes_on_to_the_same_bytes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     broken = tmp_path / "broken"
-    write, asked = fit_sequence._write, [str(walk[3]), str(walk[4])]
+    write, asked = fit_sequence.write, [str(walk[3]), str(walk[4])]
 
     class Killed(BaseException):
         pass
@@ -133,7 +133,7 @@ def test_properties_a_stopped_sequence_goes_on_to_the_same_bytes(
             raise KeyboardInterrupt
         return write(out, name, path, *rest)
 
-    monkeypatch.setattr(fit_sequence, "_write", stopped)
+    monkeypatch.setattr(fit_sequence, "write", stopped)
     if stop == "kill":
         with pytest.raises(Killed):
             main([*walk, "--out", str(broken)])
@@ -142,7 +142,7 @@ def test_properties_a_stopped_sequence_goes_on_to_the_same_bytes(
         assert "after 2 of 5 frames" in capsys.readouterr().err
         assert not json.loads((broken / "sequence.json").read_text())["complete"]
     seen: list[str] = []
-    monkeypatch.setattr(fit_sequence, "_write", lambda *a: (seen.append(str(a[2])), write(*a))[1])
+    monkeypatch.setattr(fit_sequence, "write", lambda *a: (seen.append(str(a[2])), write(*a))[1])
     assert main([*walk, "--out", str(broken)]) == 0
     assert seen == walk[3:6]
     assert contents(broken) == contents(whole)
@@ -157,7 +157,7 @@ def test_properties_another_command_begins_anew(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(fit_sequence, "_write", stopped)
+        patch.setattr(fit_sequence, "write", stopped)
         assert main([*walk, "--out", str(out)]) == 3
     reel = sequence_log.Reel([Path(p) for p in walk[1:6]], "auto", HAND)
     log = sequence_log.Log(out, reel, "one")

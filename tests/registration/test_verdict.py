@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from synthgen.registration.statistics import PARTS, Statistics
-from synthgen.registration.verdict import REASONS, judge, sd_limit_m
+from synthgen.registration.statistics import PARTS, Statistics, statistics
+from synthgen.registration.verdict import REASONS, explains_more, judge, sd_limit_m
+from tests.registration.hands import scan, surface, truth
 
 GOOD = Statistics(
     explained=0.995,
@@ -20,9 +21,10 @@ GOOD = Statistics(
     rms_m=2e-4,
     unexplained=np.full(6, 0.01),
     p95_m=np.full(6, 4e-4),
-    ratio=1.0,
+    ratios=np.ones(6),
     biased=np.zeros(6),
     coverage=np.full(6, 0.7),
+    tip_coverage=np.full(6, 0.6),
     sd_m=np.full(100, 1e-4),
     sd95_m=np.full(6, 1e-4),
 )
@@ -43,8 +45,10 @@ def one_bad(*parts: str) -> np.ndarray:
         ({"unexplained": one_bad("ring")}, "fail", "finger_missed(ring)"),
         ({"unexplained": one_bad("ring", "pinky")}, "fail", "finger_swap"),
         ({"unexplained": one_bad("ring", "pinky", "palm")}, "fail", "cold_start_failed"),
-        ({"ratio": 1.3}, "fail", "finger_missed"),
-        ({"ratio": 1.3, "noise_m": 4e-4}, "pass", ""),
+        ({"ratios": 1 + one_bad("ring")}, "fail", "finger_missed(ring)"),
+        ({"ratios": 1 + one_bad("ring"), "p95_m": 4e-4 + 1e-3 * one_bad("palm")}, "fail",
+         "finger_missed(ring)"),
+        ({"ratios": 1 + one_bad("ring"), "noise_m": 4e-4}, "pass", ""),
         ({"unexplained": one_bad("ring"), "explained": 0.9}, "fail", "finger_missed(ring)"),
         ({"unexplained": one_bad("palm"), "explained": 0.9}, "fail", "cold_start_failed"),
         ({"pending": 0.2}, "fail", "not_converged"),
@@ -57,6 +61,9 @@ def one_bad(*parts: str) -> np.ndarray:
         ({"sd95_m": np.array([0, 0, 0, 0, 0, 11e-3]), "inflation": 1e3}, "unobserved",
          "hole(thumb)"),
         ({"sd95_m": np.array([0, 0, 0, 0, 0, 6e-3]), "inflation": 1e3}, "pass", ""),
+        ({"sd95_m": np.array([0, 0, 0, 0, 0, 6e-3]), "inflation": 1e3,
+          "tip_coverage": 0.6 - 3 * one_bad("thumb")}, "unobserved", "hole(thumb)"),
+        ({"tip_coverage": 0.6 - 3 * one_bad("thumb")}, "pass", ""),
     ],
 )  # fmt: skip
 def test_reference_verdicts(change: dict[str, Any], verdict: str, reason: str) -> None:
@@ -64,6 +71,17 @@ def test_reference_verdicts(change: dict[str, Any], verdict: str, reason: str) -
     assert found.verdict == verdict
     assert found.text.startswith(reason)
     assert found.reason in ("", *REASONS)
+
+
+@pytest.mark.parametrize(("number", "degrees"), [(5, -15), (7, 10), (9, 6)])
+@pytest.mark.parametrize("finger", PARTS[1:])
+def test_properties_a_misplaced_finger_is_named(number: int, degrees: float, finger: str) -> None:
+    """Bent in its middle joint, of a pose that is right else; one lies at its neighbour then."""
+    x = truth(number).copy()
+    x[surface().fingers.start + 9 * (PARTS.index(finger) - 1) + 5] += np.deg2rad(degrees)
+    found = statistics(surface().at(x), scan(number), 1e-10 * np.eye(len(x)))
+    judgement = judge(found, x[surface().shape])
+    assert (judgement.reason, judgement.parts) == ("finger_missed", (finger,))
 
 
 def test_reference_extreme_shape() -> None:
@@ -84,3 +102,13 @@ def test_smoke_json_is_json() -> None:
     empty = replace(GOOD, unexplained=np.full(6, np.nan), p95_m=np.full(6, np.nan))
     assert empty.to_json()["parts"]["ring"]["p95_mm"] is None
     assert empty.worst_unexplained == 0
+
+
+def test_properties_a_fit_explains_more_than_another() -> None:
+    worse = replace(GOOD, explained=0.98, noise_m=3e-4)
+    assert explains_more(GOOD, worse)
+    assert not explains_more(worse, GOOD)
+    assert explains_more(worse, None)
+    assert not explains_more(None, GOOD)
+    assert not explains_more(replace(GOOD, explained=0.999), GOOD)
+    assert not explains_more(replace(GOOD, sd95_m=np.full(6, 0.05)), worse)

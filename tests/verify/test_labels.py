@@ -15,10 +15,11 @@ from synthgen.corpus import open_corpus
 from synthgen.corpus.runner import generate
 from synthgen.errors import CorpusError
 from synthgen.verify import verify
-from synthgen.verify.checks import _normal_error, chirality
+from synthgen.verify.checks import _normal_error, check_depth, check_surface, chirality
 from synthgen.verify.draft import Draft
 from synthgen.verify.faults import FAULTS
-from synthgen.verify.report import VerifyReport
+from synthgen.verify.redraw import Redrawn
+from synthgen.verify.report import Record, VerifyReport
 from synthgen.verify.roundtrip import round_trip
 from synthgen.verify.roundtrip_page import write_page
 from synthgen.verify.self_test import PRODUCTS, cell, judged
@@ -216,3 +217,22 @@ def test_reference_normals_across_a_thin_tip_are_not_judged() -> None:
     K = np.array([[50.0, 0, 20], [0, 50, 20], [0, 0, 1]])
     view: Any = SimpleNamespace(camera=SimpleNamespace(K=K), normals=normals)
     assert _normal_error(view, depth, depth > 0) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_edge_a_view_without_a_hand_is_not_judged(corpus_path: Path) -> None:
+    """Not of infinite error: nothing is known of its depth, faces and normals."""
+    sample = open_corpus(corpus_path)[0]
+    nothing = np.zeros((8, 8), np.int64)
+    view: Any = SimpleNamespace(
+        columns={"depth", "labels"}, camera=sample.views[0].camera, instance_id=nothing,
+        part_id=nothing, face_id=nothing - 1, depth_z_m=np.zeros((8, 8)), valid=nothing > 0,
+        sensor_depth_z_m=np.zeros((8, 8)), normals=np.zeros((8, 8, 3)), uv=np.zeros((8, 8, 2)),
+    )  # fmt: skip
+    again = Redrawn(nothing, nothing - 1, np.zeros((8, 8, 3)), np.zeros((8, 8)))
+    report = VerifyReport()
+    check_depth(Record(report, 0, 0), view, again)
+    check_surface(Record(report, 0, 0), sample, view, again)
+    assert report.ok
+    assert not report.worst
+    assert set(report.reasons()) == {"depth", "sensor depth", "face", "uv", "parts",
+                                     "normal length", "normals"}  # fmt: skip

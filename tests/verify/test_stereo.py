@@ -24,8 +24,8 @@ COLUMNS = ("meta", "scan", "stereo")
 # All units of a rig of one design have the same Q.
 SAME = "Q of another unit"
 GRIDS = {"stereo rows", "Q", "true disparity", "disparity grid", "disparity", "disparity offset",
-         "stereo pictures", "stereo picture shift", "scan from pairs", "stereo cameras",
-         "stereo units"}  # fmt: skip
+         "stereo pictures", "stereo picture shift", "stereo picture place",
+         "disparity place", "scan from pairs", "stereo cameras", "stereo units"}  # fmt: skip
 
 
 # What views of 64 pixels are too small for.

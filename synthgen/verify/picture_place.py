@@ -1,0 +1,129 @@
+"""Where rectified pictures lie beside their disparities, both of them together.
+
+Pictures that are shifted alike still match each other, but at every pixel by the disparity of the
+next one: where the surface slopes, the match is off by the shift times the slope. So the offsets
+at which the two pictures match, regressed on the slopes of the disparities, tell the shift. The
+witness shares no code with the scanner: offsets are of Lucas and Kanade's kind (1981), from the
+pictures' gradients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthgen.verify.disparities import shift
+from synthgen.verify.report import Record
+from synthgen.verify.stereo_pair import FEWEST, Pair
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+PICTURES, MEASURED = "stereo picture place", "disparity place"
+# Pixels. Of sound pairs pictures are found at most 0.1 beside their disparities, measured
+# disparities 0.1 beside true ones; pictures half a pixel off at 0.39-0.56.
+PLACE_PX = 0.25
+WINDOW = 9
+# What can be told of a window: it is lit, the pictures match, and the surface is one and not steep.
+LIT, ALIKE, STEEP, FAR_PX = 4.0, 0.6, 1.5, 1.0
+UNSURE_PX, TOGETHER = 0.05, 2.0  # windows overlap: errors of neighbours are alike
+FLAT = "the surface that both cameras see does not slope enough to tell"
+
+
+def check_place(record: Record, pair: Pair) -> None:
+    """Check that both pictures lie where their disparities, measured or true, say."""
+    unit = pair.stored
+    if unit.left is None or unit.right is None:
+        record.skip(PICTURES, "no pictures are stored")
+        return
+    for grid in (unit.disparity, unit.true_disparity):
+        if grid is not None:
+            move = placed(*offsets(unit.left, unit.right, grid, unit.step))
+            if np.isfinite(move).any():
+                record.measure(PICTURES, np.nanmax(np.abs(move)), PLACE_PX,
+                               "px (right, down) by which both pictures are shifted")  # fmt: skip
+                return
+    record.skip(PICTURES, FLAT)
+
+
+def check_measured_place(record: Record, pair: Pair) -> None:
+    """Check that measured disparities lie where the true ones do."""
+    unit, truth = pair.stored, pair.stored.true_disparity
+    if truth is None:
+        record.skip(MEASURED, "no true disparities are stored")
+        return
+    off = (unit.disparity - truth).astype(np.float64)
+    slope = np.stack(np.gradient(truth.astype(np.float64))[::-1], axis=-1) / unit.step
+    used = np.abs(off) < FAR_PX
+    used &= np.abs(slope).max(axis=-1) < STEEP
+    move = placed(off[used], slope[used])
+    if np.isfinite(move).any():
+        record.measure(MEASURED, np.nanmax(np.abs(move)), PLACE_PX,
+                       "px (right, down) by which measured disparities are shifted")  # fmt: skip
+    else:
+        record.skip(MEASURED, FLAT)
+
+
+def placed(off: Array, slope: Array) -> Array:
+    """By how many pixels right and down (2,) both pictures are shifted; NaN where unsure."""
+    if len(off) < FEWEST:
+        return np.full(2, np.nan)
+    fitted = shift(off, slope)
+    rest = off - fitted[0] - slope @ fitted[1:]
+    near = np.abs(rest) < 3 * np.median(np.abs(rest)) / 0.6745
+    fitted = shift(off[near], slope[near])
+    columns = np.column_stack([np.ones(near.sum()), slope[near]])
+    spread = np.linalg.pinv(columns.T @ columns)
+    error = TOGETHER * rest[near].std() * np.sqrt(np.diag(spread))[1:]
+    return np.where(error < UNSURE_PX, -fitted[1:], np.nan)
+
+
+def offsets(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], grid: NDArray[Any], step: int
+) -> tuple[Array, Array]:
+    """Offsets (n,) of the right picture from the disparities, and the disparities' slopes (n, 2).
+
+    Of windows of 9 x 9 pixels that lie on one surface; slopes are per pixel, right and down.
+    """
+    rows, columns = np.indices(left.shape, dtype=np.float32)
+    known = np.isfinite(grid)
+    at = columns / step, rows / step
+    disparity = cv2.remap(np.where(known, grid, 0).astype(np.float32), *at, cv2.INTER_LINEAR)
+    whole = cv2.remap(known.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.999
+    there = columns - disparity, rows
+    whole &= (there[0] > 1) & (there[0] < left.shape[1] - 2)
+    one, other = left.astype(np.float32), right.astype(np.float32)
+    ahead = (np.roll(other, -1, axis=1) - np.roll(other, 1, axis=1)) / 2
+    two, gradient = (cv2.remap(image, *there, cv2.INTER_CUBIC) for image in (other, ahead))
+    off, sure = _lucas_kanade(one, two, gradient)
+    down, across = np.gradient(disparity)
+    steep = np.maximum(np.abs(across), np.abs(down)) > STEEP
+    solid = cv2.erode((whole & ~steep).astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+    used = np.zeros(left.shape, dtype=bool)
+    used[:: WINDOW // 2, :: WINDOW // 2] = True
+    used &= solid & sure & (np.abs(off) < FAR_PX)
+    slope = np.stack([_mean(across), _mean(down)], axis=-1)
+    return off[used].astype(np.float64), slope[used].astype(np.float64)
+
+
+_mean: Callable[[Any], Any] = partial(cv2.blur, ksize=(WINDOW, WINDOW))
+
+
+def _lucas_kanade(one: Image, two: Image, gradient: Image) -> tuple[Image, NDArray[np.bool_]]:
+    """By how much ``two`` is to be moved to look like ``one`` (h, w), and where that is known.
+
+    ``gradient`` is that of ``two`` as it was taken. Contrast and brightness of windows may differ.
+    """
+    lit = [np.maximum(_mean(image * image) - _mean(image) ** 2, 1e-6) for image in (one, two)]
+    alike = (_mean(one * two) - _mean(one) * _mean(two)) / np.sqrt(lit[0] * lit[1])
+    gain = np.sqrt(lit[0] / lit[1])
+    rest = (one - _mean(one)) - gain * (two - _mean(two))
+    ahead = (np.roll(one, -1, axis=1) - np.roll(one, 1, axis=1)) / 2
+    slope = (gain * (gradient - _mean(gradient)) + ahead) / 2
+    off = -_mean(rest * slope) / np.maximum(_mean(slope * slope), 1e-6)
+    return off, (alike > ALIKE) & (lit[0] > LIT)
