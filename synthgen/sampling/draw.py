@@ -119,15 +119,19 @@ def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
 def _pose(
     config: Config, shape: Array, index: int, rng: np.random.Generator
 ) -> tuple[Array, str, float]:
-    """Draw right-hand poses until one penetrates itself less than the limit."""
+    """Draw right-hand poses until one penetrates itself less than the limit.
+
+    Poses of the same source: uniform ones penetrate more often, and would lose their share.
+    """
     model = load_hand(config.model.name, hand="right")
     limits, probe = limits_of(model), probe_of(model)
     settings = config.pose
-    prior = None
-    if settings.gmm_share > 0:
+    prior, share = None, settings.gmm_share
+    if share > 0:
         prior = prior_of(model, settings.gmm_components, settings.pca_components)
     for _ in range(POSE_TRIES):
-        pose, source = sample_hand_pose(limits, prior, gmm_share=settings.gmm_share, rng=rng)
+        pose, source = sample_hand_pose(limits, prior, gmm_share=share, rng=rng)
+        share = float(source == "gmm")
         depth = probe.depth_m(model.evaluate(shape[None], pose[None]).vertices[0])
         if depth <= settings.penetration_limit_m:
             return pose, source, depth
