@@ -153,8 +153,9 @@ class _Placed:
         model = load_hand(self.subject.model, hand=self.subject.hand)
         worn = dress(model, self.subject)
         meshes = [mesh.vertices for mesh in (worn.sleeve, *worn.bands) if mesh is not None]
-        n_hand = model.surface.n_hand_vertices
-        return Stage(np.concatenate([self.surface, *meshes]), n_hand, self.cameras)
+        around = np.concatenate([self.surface, *meshes])
+        end = self.surface[model.surface.arm.end_ids]
+        return Stage(around, model.surface.n_hand_vertices, self.cameras, end)
 
 
 def _dressed(config: Config, placed: _Placed, rng: np.random.Generator) -> _Placed:
