@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from synthgen.config import Config
 from synthgen.errors import SamplingError
-from synthgen.geometry.cameras import Camera
+from synthgen.geometry.cameras import Camera, project
 from synthgen.geometry.rotations import axis_angle_from_matrix
 from synthgen.models import ManoModel, load_hand, pose_surface
 from synthgen.sampling import orientation, placement
@@ -257,7 +257,9 @@ def _cameras(
         offset = rng.uniform(-config.camera.offset, config.camera.offset, 2)
         transform, distance = placement.camera_position(points, lens, fill, offset, view)
         cameras.append(lens.camera(transform))
-        if number == 0:
+        if number == 0:  # a wide lens would have to come too near for some fills
+            reached = np.ptp(project(cameras[0], points)[0], axis=0).max()
+            fill = float(reached / min(lens.width, lens.height))
             factors = {"fov_deg": lens.fov_deg, "fill": fill, "distance_m": distance}
     return tuple(cameras), {k: round(float(v), 6) for k, v in factors.items()}
 
