@@ -73,7 +73,7 @@ _KNOWN: Mapping[str, Mapping[str, tuple[float, float, float]]] = {
         "spine1": (20, 0, 0), "spine2": (12, 0, 0), "right_shoulder": (0, 75, 5),
         "left_shoulder": (0, -75, -5),
     },
-    "arms forward, palms up": {
+    "arms forward, palms out": {
         "right_shoulder": (0, 85, 0), "left_shoulder": (0, -85, 0),
         "right_wrist": (75, 0, 0), "left_wrist": (75, 0, 0),
     },

@@ -93,7 +93,8 @@ class CameraSettings(Section):
     """Field of view over the longer side of the frame, degrees, [lowest, highest]."""
 
     fill: FillRange = (0.5, 0.85)
-    """Share of the frame's shorter side that the hand spans, [lowest, highest]."""
+    """Share of the frame's shorter side that the hand spans, [lowest, highest]; less where a wide
+    lens would come nearer to it than 8 cm."""
 
     offset: float = Field(default=0.06, ge=0.0, le=0.5)
     """Largest offset of the hand's centre from the image centre, as a share of the frame."""

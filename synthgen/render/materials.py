@@ -19,12 +19,15 @@ GLOSSY = ("brdf_0.base_color.data", "brdf_0.roughness.data", "brdf_0.metallic.da
 
 
 def mesh(
-    mi: Any, name: str, n: int, triangles: NDArray[Any], uv: NDArray[Any],
-    bsdf: dict[str, Any], *, smooth: bool,
+    mi: Any, name: str, n: int, triangles: NDArray[Any], uv: NDArray[Any], bsdf: Any,
+    *, smooth: bool,
 ) -> Any:  # fmt: skip
-    """Return an empty mesh of fixed topology: ``n`` vertices at the origin."""
+    """Return an empty mesh of fixed topology: ``n`` vertices at the origin.
+
+    ``bsdf`` is a description, or a material made before.
+    """
     properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    properties["mesh_bsdf"] = mi.load_dict(bsdf) if isinstance(bsdf, dict) else bsdf
     made = mi.Mesh(
         name, n, len(triangles), has_vertex_normals=smooth, has_vertex_texcoords=True,
         props=properties,

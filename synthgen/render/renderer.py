@@ -15,7 +15,7 @@ from synthgen.render.diffusion import diffuse
 from synthgen.render.labels import Labels, label_view
 from synthgen.render.radiance import Film, Guides, mean_guides
 from synthgen.render.sensor import develop
-from synthgen.render.upload import LiveScene, Structure
+from synthgen.render.upload import LiveScene, Skins, Structure
 from synthgen.render.visibility import VISIBLE, HandLabels, label_hand
 from synthgen.sampling.spec import SampleSpec
 from synthgen.scene import HandSubject, Optics
@@ -55,6 +55,7 @@ class Renderer:
     def __init__(self, variant: str = "auto") -> None:
         self.variant = backend.activate(variant)
         self._scenes: dict[Structure, LiveScene] = {}
+        self._skins = Skins()
 
     def render(self, spec: SampleSpec) -> list[RenderedView]:
         """Return labels and pictures of every view of a sample."""
@@ -145,7 +146,7 @@ class Renderer:
         results = [_pose(m, s) for m, s in zip(models, scene.subjects, strict=True)]
         surfaces = [surface for surface, _ in results]
         if structure not in self._scenes:
-            self._scenes[structure] = LiveScene(models, structure)
+            self._scenes[structure] = LiveScene(models, structure, self._skins)
             # The first update turns what the loader left as literals into data: other kernels,
             # other last bits. Nothing may be drawn before it.
             self._scenes[structure].update(scene, surfaces)

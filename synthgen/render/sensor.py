@@ -1,4 +1,4 @@
-"""From linear radiance to the stored 8 bits: exposure, balance, optics, noise, mosaic, curve."""
+"""From linear radiance to the stored 8 bits: exposure, optics, noise, balance, mosaic, curve."""
 
 from __future__ import annotations
 
@@ -87,14 +87,16 @@ def develop(
     """
     exposure = exposure_of(linear) * 2.0**sensor.exposure_ev
     x = np.maximum(np.asarray(linear, dtype=np.float64), 0) * exposure
-    x = x * balance_of(np.asarray(linear, np.float32), albedo, sensor)
+    balance = balance_of(np.asarray(linear, np.float32), albedo, sensor)
+    x = x * balance
     if sensor.psf_px > 0:
         x = _blurred(x, sensor.psf_px)
     if sensor.bloom > 0:
         glow = _blurred(np.clip(x - 0.9, 0, 4), _BLOOM_SHARE * x.shape[1])
         x = x + sensor.bloom * glow
-    if sensor.full_well > 0:
-        x = read_out(x, sensor, rng=stream(sensor.seed, "sample", view, 0, "sensor noise"))
+    if sensor.full_well > 0:  # balance amplifies what was read, its noise with it
+        rng = stream(sensor.seed, "sample", view, 0, "sensor noise")
+        x = read_out(x / balance, sensor, rng=rng) * balance
     if sensor.bayer:
         x = demosaic(mosaic(x))
     over = _KNEE + (1 - _KNEE) * (1 - np.exp(-(np.maximum(x, _KNEE) - _KNEE) / (1 - _KNEE)))

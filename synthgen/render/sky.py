@@ -42,7 +42,8 @@ def radiance_of(sky: Sky) -> Image:
     away, solid_angle = directions()
     if sky.file is not None:
         radiance = read_panorama(sky.file).astype(np.float64)
-        shift = round(sky.turn_rad / (2 * np.pi) * WIDTH_PX)
+        # Columns run against a turn about y, which takes z to x.
+        shift = round(-sky.turn_rad / (2 * np.pi) * WIDTH_PX)
         radiance = np.roll(radiance, shift, axis=1)
     else:
         radiance = _sun_and_sky(sky, away, solid_angle)

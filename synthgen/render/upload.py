@@ -71,6 +71,43 @@ class Structure:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class LiveSkin:
+    """The material of one hand's skin; its maps are nearly all of a scene's memory.
+
+    Attributes
+    ----------
+    bsdf : mitsuba.BSDF
+    bump : mitsuba.Texture or None
+        Its relief, in quality full.
+    filled : dict
+        Whose skin it holds.
+    """
+
+    bsdf: Any
+    bump: Any
+    filled: dict[str, Any]
+
+
+class Skins:
+    """Materials of skin by subject's number, quality and size: scenes of a process share them.
+
+    One scene is drawn at a time, and fills the material with its own subject first.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[int, str, int], LiveSkin] = {}
+
+    def of(self, k: int, quality: str, size: int) -> LiveSkin:
+        """Return the material of subject ``k``, empty when it is asked for first."""
+        key = k, quality, size
+        if key not in self._made:
+            mi: Any = backend.mitsuba()
+            described = material.describe(mi, quality, size)
+            self._made[key] = LiveSkin(mi.load_dict(described), described.get("bump"), {})
+        return self._made[key]
+
+
 class LiveScene:
     """The uploaded scene of one structure.
 
@@ -79,16 +116,19 @@ class LiveScene:
     models : tuple of ManoModel
         One per subject, in order.
     structure : Structure
+    skins : Skins
+        Shared with other scenes; whoever is updated last is drawn.
     """
 
-    def __init__(self, models: tuple[ManoModel, ...], structure: Structure) -> None:
+    def __init__(self, models: tuple[ManoModel, ...], structure: Structure, skins: Skins) -> None:
         self.models = models
         self.structure = structure
         self.drawn = tuple(DrawnSurface.for_model(model) for model in models)
         self._look = (
             structure.quality, material.atlas_size(structure.quality, structure.picture_px)
         )  # fmt: skip
-        self.bumps: dict[str, Any] = {}
+        self._skins = [skins.of(k, *self._look) for k in range(len(models))]
+        self.bumps = {f"hand{k}": s.bump for k, s in enumerate(self._skins) if s.bump is not None}
         self._mi: Any = backend.mitsuba()
         self._scene = self._load()
         self._params = self._mi.traverse(self._scene)
@@ -122,9 +162,7 @@ class LiveScene:
             grey = np.full((sky.HEIGHT_PX, sky.WIDTH_PX, 3), 0.5, dtype=np.float32)
             description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(grey)}
         for k, drawn in enumerate(self.drawn):
-            skin = material.describe(mi, *self._look)
-            if "bump" in skin:
-                self.bumps[f"hand{k}"] = skin["bump"]
+            skin = self._skins[k].bsdf
             description[f"hand{k}"] = materials.mesh(
                 mi, f"hand{k}", len(drawn.uv), drawn.triangles, drawn.uv, skin, smooth=True
             )
@@ -185,14 +223,16 @@ class LiveScene:
         if solid.uv is not None:
             self._params[f"{name}.vertex_texcoords"] = materials.flip_v(solid.uv)
 
-    def _is_new(self, name: str, value: Any) -> bool:
+    def _is_new(self, name: str, value: Any, filled: dict[str, Any] | None = None) -> bool:
         """Tell whether a texture must be filled again."""
-        new = name not in self._filled or self._filled[name] != value
-        self._filled[name] = value
+        there = self._filled if filled is None else filled
+        new = name not in there or there[name] != value
+        there[name] = value
         return new
 
     def _colour_hand(self, k: int, subject: HandSubject) -> None:
-        if self._is_new(f"hand{k}", subject.skin):
+        whose = self.models[k].digest, subject.hand, subject.skin
+        if self._is_new("skin", whose, self._skins[k].filled):
             self._fill(f"hand{k}.bsdf", material.of_skin(self.models[k], subject.skin, *self._look))
         self._fill(f"hand{k}.bsdf", material.of_pose(self.models[k], subject, *self._look))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from synthgen.config import Config
 from synthgen.errors import SamplingError
-from synthgen.geometry.cameras import Camera
+from synthgen.geometry.cameras import Camera, project
 from synthgen.geometry.rotations import axis_angle_from_matrix
 from synthgen.models import ManoModel, load_hand, pose_surface
 from synthgen.sampling import orientation, placement
@@ -119,15 +119,19 @@ def _person(config: Config, index: int, rng: np.random.Generator) -> _Person:
 def _pose(
     config: Config, shape: Array, index: int, rng: np.random.Generator
 ) -> tuple[Array, str, float]:
-    """Draw right-hand poses until one penetrates itself less than the limit."""
+    """Draw right-hand poses until one penetrates itself less than the limit.
+
+    Poses of the same source: uniform ones penetrate more often, and would lose their share.
+    """
     model = load_hand(config.model.name, hand="right")
     limits, probe = limits_of(model), probe_of(model)
     settings = config.pose
-    prior = None
-    if settings.gmm_share > 0:
+    prior, share = None, settings.gmm_share
+    if share > 0:
         prior = prior_of(model, settings.gmm_components, settings.pca_components)
     for _ in range(POSE_TRIES):
-        pose, source = sample_hand_pose(limits, prior, gmm_share=settings.gmm_share, rng=rng)
+        pose, source = sample_hand_pose(limits, prior, gmm_share=share, rng=rng)
+        share = float(source == "gmm")
         depth = probe.depth_m(model.evaluate(shape[None], pose[None]).vertices[0])
         if depth <= settings.penetration_limit_m:
             return pose, source, depth
@@ -149,8 +153,9 @@ class _Placed:
         model = load_hand(self.subject.model, hand=self.subject.hand)
         worn = dress(model, self.subject)
         meshes = [mesh.vertices for mesh in (worn.sleeve, *worn.bands) if mesh is not None]
-        n_hand = model.surface.n_hand_vertices
-        return Stage(np.concatenate([self.surface, *meshes]), n_hand, self.cameras)
+        around = np.concatenate([self.surface, *meshes])
+        end = self.surface[model.surface.arm.end_ids]
+        return Stage(around, model.surface.n_hand_vertices, self.cameras, end)
 
 
 def _dressed(config: Config, placed: _Placed, rng: np.random.Generator) -> _Placed:
@@ -252,7 +257,9 @@ def _cameras(
         offset = rng.uniform(-config.camera.offset, config.camera.offset, 2)
         transform, distance = placement.camera_position(points, lens, fill, offset, view)
         cameras.append(lens.camera(transform))
-        if number == 0:
+        if number == 0:  # a wide lens would have to come too near for some fills
+            reached = np.ptp(project(cameras[0], points)[0], axis=0).max()
+            fill = float(reached / min(lens.width, lens.height))
             factors = {"fov_deg": lens.fov_deg, "fill": fill, "distance_m": distance}
     return tuple(cameras), {k: round(float(v), 6) for k, v in factors.items()}
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from synthgen.config.places import OpticsSettings, SensorSettings
 from synthgen.errors import ShapeError
-from synthgen.geometry.cameras import Camera, undistort
+from synthgen.geometry.cameras import Camera, project, to_camera, undistort
 from synthgen.sampling.appearance import rounded
 from synthgen.scene import Motion, Optics, Sensor
 
@@ -21,39 +21,54 @@ _MARGIN, _WEAKER = 1.15, 0.8
 
 
 def distorted(
-    cameras: tuple[Camera, ...], largest: float, *, rng: np.random.Generator
+    cameras: tuple[Camera, ...], largest: float, end: Array, *, rng: np.random.Generator
 ) -> tuple[Camera, ...]:
     """Give every camera the same lens's distortion: the corner moves by up to ``largest``.
 
-    A lens that would fold the picture over before its corner is weakened until it does not.
+    A lens that would fold the picture over before its corner, or bring the arm's open end
+    (``end`` (E, 3), world) into it, is weakened until it does not.
     """
     moved, tangential = rng.uniform(-largest, largest), rng.normal(0, 0.1, 2) * largest
     if largest == 0:
         return cameras
-    done = []
-    for camera in cameras:
-        corner = ((camera.width / 2) ** 2 + (camera.height / 2) ** 2) / camera.fx**2
-        k1 = round(float(moved / corner), 9)
-        p1, p2 = (round(float(v / np.sqrt(corner)), 9) for v in tangential)
-        done.append(_unfolded(replace(camera, distortion=(k1, 0.0, p1, p2, 0.0))))
-    return tuple(done)
+    share = 1.0
+    while True:
+        bent = tuple(_bent(camera, share * moved, share * tangential) for camera in cameras)
+        if all(_unfolded(camera) and not _shown(camera, end) for camera in bent):
+            return bent
+        share *= _WEAKER
 
 
-def _unfolded(camera: Camera) -> Camera:
-    """Weaken a lens by fifths until it can be inverted over its frame, with some margin."""
+def _bent(camera: Camera, moved: float, tangential: Array) -> Camera:
+    corner = ((camera.width / 2) ** 2 + (camera.height / 2) ** 2) / camera.fx**2
+    k1 = round(float(moved / corner), 9)
+    p1, p2 = (round(float(v / np.sqrt(corner)), 9) for v in tangential)
+    return replace(camera, distortion=(k1, 0.0, p1, p2, 0.0))
+
+
+def _unfolded(camera: Camera) -> bool:
+    """Tell whether a lens can be inverted over its frame, with some margin."""
     u = (np.linspace(-0.5, camera.width - 0.5, 9) - camera.cx) / camera.fx
     v = (np.linspace(-0.5, camera.height - 0.5, 9) - camera.cy) / camera.fy
-    frame = np.stack(np.meshgrid(u, v), axis=-1)
-    while True:
-        k1, _, p1, p2, _ = camera.distortion
-        stronger = (_MARGIN * k1, 0.0, _MARGIN * p1, _MARGIN * p2, 0.0)
-        try:
-            undistort(replace(camera, distortion=stronger), frame)
-        except ShapeError:
-            k1, p1, p2 = (round(_WEAKER * value, 9) for value in (k1, p1, p2))
-            camera = replace(camera, distortion=(k1, 0.0, p1, p2, 0.0))
-        else:
-            return camera
+    k1, _, p1, p2, _ = camera.distortion
+    stronger = (_MARGIN * k1, 0.0, _MARGIN * p1, _MARGIN * p2, 0.0)
+    try:
+        undistort(replace(camera, distortion=stronger), np.stack(np.meshgrid(u, v), axis=-1))
+    except ShapeError:
+        return False
+    return True
+
+
+def _shown(camera: Camera, points: Array) -> bool:
+    """Tell whether some of the points (n, 3), world, lie in the picture."""
+    pixels, z = project(camera, points)
+    size = np.array([camera.width, camera.height]) - 0.5
+    within = np.all((pixels > -0.5) & (pixels < size), axis=-1) & (z > 1e-3)
+    pixels, local = pixels[within], to_camera(camera, points[within])
+    # What lies far aside may be thrown back into the frame: no ray of the picture goes there.
+    flat = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    seen = undistort(camera, flat) - local[:, :2] / local[:, 2:]
+    return bool((np.abs(seen).max(axis=1, initial=0.0) < 1e-6).any())
 
 
 def sample_optics(

@@ -21,12 +21,13 @@ class Stage:
     """What things must keep clear of.
 
     ``surface`` (S, 3) world, metres: hand (the first ``n_hand``), arm, what is worn; ``cameras``
-    without distortion.
+    without distortion; ``end`` (E, 3) the arm's open end, world, metres.
     """
 
     surface: Array
     n_hand: int
     cameras: tuple[Camera, ...]
+    end: Array
 
     @property
     def hand(self) -> Array:

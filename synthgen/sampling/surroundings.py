@@ -54,7 +54,7 @@ def surround(config: Config, stage: Stage, streams: Streams) -> Surroundings:
     used = [f for f in (background.file, lights.sky.file if lights.sky else None) if f is not None]
     return Surroundings(
         cameras=sensing.distorted(
-            stage.cameras, config.optics.distortion, rng=streams("distortion")
+            stage.cameras, config.optics.distortion, stage.end, rng=streams("distortion")
         ),
         lights=lights,
         background=background,

@@ -288,7 +288,7 @@ class Sensor:
     psf_px : float
         Standard deviation of the optical blur, 0 none.
     full_well : float
-        Electrons at white; 0 leaves noise out. Read noise ``read_e`` electrons.
+        Electrons at white, before balance; 0 leaves noise out. Read noise ``read_e`` electrons.
     bayer : bool
         Sample through an RGGB mosaic and demosaic.
     sharpen : float

@@ -114,6 +114,9 @@ def _image_size(path: Path, data: bytes) -> tuple[int, int]:
     if data[:2] == b"\xff\xd8":
         place = 2
         while place + 9 < len(data) and data[place] == 0xFF:
+            if data[place + 1] == 0xFF:  # any number of these may stand before a marker
+                place += 1
+                continue
             marker, length = data[place + 1], struct.unpack(">H", data[place + 2 : place + 4])[0]
             if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
                 height, width = struct.unpack(">HH", data[place + 5 : place + 9])

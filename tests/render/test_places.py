@@ -13,6 +13,7 @@ from kornia.geometry.calibration import distort_points
 
 from synthgen.config import load_config
 from synthgen.errors import BackendError
+from synthgen.geometry.rotations import matrix_from_axis_angle
 from synthgen.models import load
 from synthgen.models.surface import pose_surface
 from synthgen.render import backend, sky
@@ -20,7 +21,7 @@ from synthgen.render.radiance import Film
 from synthgen.render.renderer import RenderedView, Renderer
 from synthgen.sampling.draw import draw_sample
 from synthgen.sampling.spec import SampleSpec
-from synthgen.scene import Motion, Optics, Sky
+from synthgen.scene import Motion, Optics, Picture, Sky
 from synthgen.scene.instances import objects_of
 
 SIZE = 64
@@ -290,6 +291,19 @@ def test_properties_sky_is_calibrated() -> None:
         near = away @ sun > np.cos(np.deg2rad(2))
         shares[share] = float(grey[near].sum() / grey[away[..., 1] > 0].sum())
     assert shares[1.0] > 0.5 > shares[0.35] > 0.15 > shares[0.01]
+
+
+def test_reference_panoramas_turn_about_y(monkeypatch: pytest.MonkeyPatch) -> None:
+    away, _ = sky.directions()
+    shown = np.zeros((*away.shape[:2], 3), np.float32)
+    shown[away @ np.array([0.6, 0.0, -0.8]) > 0.995] = 1
+    monkeypatch.setattr(sky, "read_panorama", lambda picture: shown)
+    file = Picture("/a.exr", "0" * 64, "CC0")
+    for turn in (0.0, 0.5, 2.0, 5.0):
+        light = sky.radiance_of(Sky((0.0, 1.0, 0.0), 3.0, 1.0, 3.0, turn, file)).mean(axis=-1)
+        towards = (away * light[..., None]).sum(axis=(0, 1))
+        wanted = matrix_from_axis_angle(np.array([0.0, turn, 0.0])) @ [0.6, 0.0, -0.8]
+        assert towards @ wanted / np.linalg.norm(towards) > np.cos(np.deg2rad(0.6))
 
 
 def test_properties_forearm_twists_along_its_length() -> None:

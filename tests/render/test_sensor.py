@@ -50,6 +50,18 @@ def test_reference_noise_has_the_variance_of_photons_and_read_noise() -> None:
     assert not np.array_equal(image, other)
 
 
+def test_reference_balance_amplifies_noise() -> None:
+    """Photons are counted before a channel is lifted: as many electrons, twice the noise."""
+    well, read, gains = 900.0, 12.0, np.array([2.0, 1.0, 0.5])
+    flat = np.full((300, 300, 3), 0.1)
+    sensor = Sensor(balance_error=tuple(gains), full_well=well, read_e=read, exposure_ev=-1.0)
+    image, exposure = develop(flat, sensor)
+    level = 0.1 * exposure
+    slope = 255 * 1.055 / 2.4 * (level * gains) ** (1 / 2.4 - 1)
+    wanted = slope * gains * np.sqrt(level * well + read**2) / well
+    np.testing.assert_allclose(image.std(axis=(0, 1)), wanted, rtol=0.06)
+
+
 def test_reference_white_balance_takes_the_light_out() -> None:
     light = np.array([1.4, 1.0, 0.6])
     albedo = np.random.Generator(np.random.Philox(1)).uniform(0.1, 0.8, (40, 40, 3))

@@ -10,8 +10,9 @@ import pytest
 from synthgen.config import Config, load_config
 from synthgen.geometry.cameras import project
 from synthgen.models import load
-from synthgen.sampling.draw import draw_sample, surface_of
+from synthgen.sampling.draw import _pose, draw_sample, surface_of
 from synthgen.sampling.spec import SampleSpec
+from synthgen.sampling.streams import stream
 
 
 def config(*overrides: str) -> Config:
@@ -42,6 +43,30 @@ def test_properties_pose_settings_leave_identity_alone() -> None:
     one, two = draw_sample(config(), 4), draw_sample(config("pose.gmm_share=0"), 4)
     assert one.scene.subjects[0].shape == two.scene.subjects[0].shape
     assert one.scene.subjects[0].skin == two.scene.subjects[0].skin
+
+
+@pytest.mark.parametrize("lens", ["[25,60]", "[100,120]"])
+def test_reference_fill_is_what_the_hand_spans(lens: str) -> None:
+    """Also where a wide lens cannot come near enough for the fill that was drawn."""
+    for index in range(4):
+        spec = draw_sample(config(f"camera.fov_deg={lens}", "camera.fill=[0.8,1]"), index)
+        (subject,), (camera,) = spec.scene.subjects, spec.scene.cameras
+        model = load(subject.model, hand=subject.hand)
+        surface = surface_of(model, subject)[: model.surface.n_hand_vertices]
+        span = np.ptp(project(camera, surface)[0], axis=0).max() / min(camera.width, camera.height)
+        assert spec.factors["fill"] == pytest.approx(span, abs=1e-4)
+
+
+def test_properties_shares_of_poses_stand_whatever_is_rejected() -> None:
+    """The mixture gets the share that was asked for, although uniform poses fail more often."""
+    strict = config("pose.penetration_limit_m=0.0005", "pose.gmm_share=0.4")
+    shape, sources = np.zeros(10), []
+    for index in range(30):
+        source = _pose(strict, shape, index, stream(0, "sample", index, 0, "pose"))[1]
+        rng = stream(0, "sample", index, 0, "pose")
+        assert source == ("gmm" if rng.random() < 0.4 else "uniform")
+        sources.append(source)
+    assert set(sources) == {"gmm", "uniform"}
 
 
 def test_properties_subjects_keep_shape_and_skin() -> None:

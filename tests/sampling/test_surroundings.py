@@ -80,7 +80,7 @@ def test_properties_things_keep_clear() -> None:
         cameras = tuple(replace(c, distortion=(0.0,) * 5) for c in spec.scene.cameras)
         model = load(subject.model, hand=subject.hand)
         surface = surface_of(model, subject)
-        stage = Stage(surface, model.surface.n_hand_vertices, cameras)
+        stage = Stage(surface, model.surface.n_hand_vertices, cameras, np.zeros((0, 3)))
         for thing in spec.scene.things:
             seen.add(thing.role)
             if thing.role == "support":

@@ -46,6 +46,9 @@ def test_smoke_jpeg_size_is_read_from_its_header(tmp_path: Path) -> None:
     path = tmp_path / "a.jpg"
     cv2.imwrite(str(path), np.zeros((33, 47, 3), np.uint8))
     assert read_image(checked(path, "image", "CC0")).shape == (33, 47, 3)
+    filled = path.read_bytes().replace(b"\xff\xd8\xff", b"\xff\xd8" + b"\xff" * 5, 1)
+    (tmp_path / "b.jpg").write_bytes(filled)
+    assert read_image(checked(tmp_path / "b.jpg", "image", "CC0")).shape == (33, 47, 3)
 
 
 def test_edge_folders(tmp_path: Path) -> None:

@@ -6,19 +6,23 @@ import dataclasses
 import hashlib
 import inspect
 import os
+import sys
 import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from synthgen.geometry import nearest, raster
 from synthgen.models import ManoModel, mirror_model
 from synthgen.render.skin import creases, fields, nails, noise, sites
 from synthgen.render.skin.cache import cache_folder
+from synthgen.sampling import streams
 from synthgen.scene import anatomy as anatomy_module
 from synthgen.scene import relief, surface, veins
 from synthgen.scene.anatomy import Anatomy, anatomy_of
@@ -28,8 +32,10 @@ Values = NDArray[np.float32]
 
 # What decides a bake besides the model: a change of any of these makes new maps.
 _SOURCES: tuple[ModuleType, ...] = (
-    anatomy_module, relief, surface, veins, creases, fields, nails, noise, sites
+    anatomy_module, relief, surface, veins, creases, fields, nails, noise, sites, nearest, raster,
+    streams, sys.modules[__name__],
 )  # fmt: skip
+_LIBRARIES = ("numpy", "scipy", "numba")
 _WHOLE = {"joint": np.uint8, "freckle": np.uint16}
 
 
@@ -144,6 +150,8 @@ def _key(model: ManoModel, size: int) -> str:
     total = hashlib.sha256(f"{size}".encode())
     for module in _SOURCES:
         total.update(inspect.getsource(module).encode())
+    for library in _LIBRARIES:  # they decide last bits, and a corpus records them
+        total.update(metadata.version(library).encode())
     drawn, anatomy = DrawnSurface.for_model(model), anatomy_of(model)
     for array in (anatomy.points, anatomy.weights, anatomy.nail):
         total.update(np.round(array, 7).tobytes())

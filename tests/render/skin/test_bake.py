@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +105,20 @@ def test_properties_read_back_is_what_was_baked(
     module._cached.cache_clear()
     monkeypatch.setattr(module, "bake_maps", lambda *_: pytest.fail("baked again"))
     assert same(bake(hand, 128), first)
+
+
+@pytest.mark.parametrize(
+    "changed", ["synthgen.render.skin.bake", "synthgen.geometry.raster", "numpy"]
+)
+def test_properties_whatever_decides_a_bake_makes_new_maps(
+    hand: ManoModel, monkeypatch: pytest.MonkeyPatch, changed: str
+) -> None:
+    """Old maps under new code or libraries would be other bytes than another machine makes."""
+    before = module._key(hand, 128)
+    source, version = inspect.getsource, metadata.version
+    monkeypatch.setattr(inspect, "getsource", lambda m: source(m) + "#" * (m.__name__ == changed))
+    monkeypatch.setattr(metadata, "version", lambda name: version(name) + "0" * (name == changed))
+    assert module._key(hand, 128) != before
 
 
 def test_edge_a_broken_cache_file_is_replaced(

@@ -93,6 +93,21 @@ def test_properties_same_bytes_whatever_came_before(renderer: Renderer) -> None:
     np.testing.assert_array_equal(first, linear(Renderer("llvm_ad_rgb").render(spec(3))[0]))
 
 
+def test_properties_scenes_share_one_skin() -> None:
+    """A scene's maps of skin are most of its memory: there is one set, whatever scenes there are.
+
+    Sides and lights take turns, and every picture is as if it were the only one.
+    """
+    turns = [spec(3), spec(3, "model.hands=left"), spec(4, "light.area=0", "light.constant=1")]
+    shared = Renderer("llvm_ad_rgb")
+    for s in (*turns, *turns):
+        alone = linear(Renderer("llvm_ad_rgb").render(s)[0])
+        np.testing.assert_array_equal(linear(shared.render(s)[0]), alone)
+    skins = {live.shape("hand0").bsdf() for live in shared._scenes.values()}
+    assert len(shared._scenes) == 3
+    assert len(skins) == 1
+
+
 def test_properties_no_kernel_is_compiled_again(renderer: Renderer) -> None:
     dr = backend.drjit()
     for index in range(2):
