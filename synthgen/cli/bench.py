@@ -36,6 +36,8 @@ def bench(name: Name, rows: Rows = "", report: Report = None, as_json: Json = Fa
     pictures = None if report is None else report.with_name(f"{report.stem}_pictures")
     if report is not None:
         report.parent.mkdir(parents=True, exist_ok=True)
+    if not as_json:
+        typer.echo(f"{name}: running; the table comes at the end", err=True)
     table = run(name, tuple(filter(None, rows.split(","))), pictures)
     if report is not None:
         report.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")

@@ -16,6 +16,11 @@ NO_DENOISER = (
     "install mitsuba-oidn`, or set a higher render.spp"
 )
 
+ELSEWHERE = (
+    "another run is still making some of these shards; when it has ended, the same command tells "
+    "whether all are there"
+)
+
 Workers = Annotated[int, typer.Option("--workers", metavar="W", min=1, help="Processes.")]
 Shards = Annotated[
     str | None,
@@ -41,7 +46,10 @@ def generate(
         typer.echo(NO_DENOISER, err=True)
     summary = run(loaded, out, workers=workers, shards_range=wanted, progress=not as_json)
     payload = summary.to_json()
-    return Result(payload, [f"{name}: {value}" for name, value in payload.items()])
+    lines = [f"{name}: {value}" for name, value in payload.items()]
+    if summary.shards_elsewhere:
+        lines.append(ELSEWHERE)
+    return Result(payload, lines)
 
 
 def shard_range(text: str | None) -> tuple[int, int] | None:

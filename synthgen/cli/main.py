@@ -107,7 +107,7 @@ def _finish(result: object, as_json: bool) -> int:
     if isinstance(result, Result):
         return result.emit(as_json)
     if result == _INTERRUPTED:
-        return _refuse("interrupted; the same command resumes", as_json, WORK_LEFT)
+        return _refuse("interrupted; run the same command again", as_json, WORK_LEFT)
     return int(result) if isinstance(result, int) else DONE
 
 

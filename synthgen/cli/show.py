@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,11 +13,19 @@ from synthgen.cli.output import DONE, FAILED, Result
 from synthgen.errors import CorpusError
 
 Index = Annotated[int, typer.Option("--sample", metavar="I", min=0, help="Position in the corpus.")]
+Pictures = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder of the pictures; DIR/show by default."),
+]
 Remake = Annotated[bool, typer.Option("--remake", help="Render it again and compare.")]
 
 
 def show(
-    directory: CorpusDir, sample: Index, remake: Remake = False, as_json: Json = False
+    directory: CorpusDir,
+    sample: Index,
+    remake: Remake = False,
+    out: Pictures = None,
+    as_json: Json = False,
 ) -> Result:
     """Show everything about one sample; --remake renders it again and compares."""
     from synthgen.corpus import open_corpus
@@ -25,7 +34,7 @@ def show(
     count = len(open_corpus(directory))
     if sample >= count:
         raise CorpusError(f"--sample {sample}: {directory} holds samples 0 to {count - 1}")
-    payload = describe(directory, sample, remake=remake)
+    payload = describe(directory, sample, remake=remake, out=out)
     same = payload.get("remake", {}).get("same", True)
     lines = [f"{name}: {_word(value)}" for name, value in payload.items()]
     return Result(payload, lines, DONE if same else FAILED)

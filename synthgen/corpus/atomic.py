@@ -61,7 +61,9 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CorpusError(f"cannot create the folder {path}: {error.strerror}") from None
+        raise CorpusError(
+            f"cannot create the folder {path}: {error.strerror}; choose another --out"
+        ) from None
     if not os.access(path, os.W_OK):
         raise CorpusError(f"the folder {path} cannot be written; choose another --out")
 

@@ -179,17 +179,20 @@ def _skeleton(view: View) -> str:
 
 
 def _histograms(corpus: Corpus) -> str:
-    table = corpus.table.to_pydict()
+    """Draw the factors that vary; of the others say what they are."""
     skipped = {"key", "sample", "view", "shard", "subject_id", "hands"}
-    drawn = [_histogram(name, values) for name, values in sorted(table.items())
-             if name not in skipped and values]  # fmt: skip
-    return "".join(drawn)
+    told = {name: values for name, values in sorted(corpus.table.to_pydict().items())
+            if name not in skipped and values}  # fmt: skip
+    fixed = {name: values[0] for name, values in told.items() if len(set(values)) == 1}
+    drawn = [_histogram(name, values) for name, values in told.items() if name not in fixed]
+    words = " &middot; ".join(f"{html.escape(name)} {html.escape(_short(value))}"
+                              for name, value in fixed.items() if value is not None)  # fmt: skip
+    same = f"<p>The same in all: {words}</p>" if words else ""
+    return f'<div class="hists">{"".join(drawn)}</div>{same}'
 
 
 def _histogram(name: str, values: list[Any]) -> str:
     known = [v for v in values if v is not None]
-    if not known:
-        raise CorpusError(f"the table's column {name} is empty")
     if isinstance(known[0], str) or len(set(known)) == 1:
         known = [_short(value) for value in known]
         labels = sorted(set(known))
@@ -236,7 +239,7 @@ body:has(#parts:checked) .photo, body:has(#depth:checked) .photo {{ display: non
 body:has(#bones:checked) .bones {{ display: block !important }}
 </style>
 <h1>{title}</h1><p>{count} samples{note} &middot; config {hash}</p>
-<div class="hists">{histograms}</div>
+{histograms}
 <nav><label><input type="radio" name="layer" checked> picture</label>
 <label><input type="radio" name="layer" id="parts"> parts</label>
 <label><input type="radio" name="layer" id="depth"> depth</label>

@@ -34,16 +34,23 @@ MAX_DEATHS = 3
 # Makes one attempt at a sample: why it must be drawn again, or None and its views.
 Attempt = Callable[[SampleSpec], tuple[str | None, list[RenderedView]]]
 Maker = Callable[[Config], Attempt]
+Tell = Callable[[int, int], None]  # of a shard, how many more samples are rendered; 0: committed
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run did."""
+    """What a run did, of a folder that others may fill, too.
+
+    ``samples``, ``redrawn`` and ``bytes`` are those of the folder; ``shards_made`` this run's own,
+    ``shards_present`` were there before or came from other runs meanwhile, ``shards_elsewhere``
+    were asked for and are still in another run's hands.
+    """
 
     out: str
     samples: int
     shards_made: int
     shards_present: int
+    shards_elsewhere: int
     redrawn: int
     bytes: int
     seconds: float
@@ -113,19 +120,21 @@ def generate(
     try:
         write_plan(config, out, workers=workers, progress=progress)
         todo = _todo(config, out, shards_range)
-        present = len(shards.done_shards(out))
-        with _bar(progress, config, todo) as advance:
+        made: list[int] = []
+        with _bar(progress, config, todo, made) as tell:
             if workers == 1:
-                _work(config, out, todo, maker, advance)
+                _work(config, out, todo, maker, tell)
             else:
-                _supervise(config, out, todo, workers, maker, advance)
+                _supervise(config, out, todo, workers, maker, tell)
     except KeyboardInterrupt:
         raise WorkLeft(f"interrupted; run the same command to finish {out}") from None
-    write_manifest(out)
-    return _summary(config, out, present, time.monotonic() - begun)
+    with open(out / CLAIMS / "manifest", "w") as claim:
+        fcntl.flock(claim, fcntl.LOCK_EX)  # the last to write has seen what all others committed
+        write_manifest(out)
+    return _summary(out, todo, made, time.monotonic() - begun)
 
 
-def _summary(config: Config, out: Path, present: int, seconds: float) -> Summary:
+def _summary(out: Path, todo: list[int], made: list[int], seconds: float) -> Summary:
     done = shards.done_shards(out)
     samples = redrawn = size = 0
     for sidecar in (shards.read_sidecar(out, k) for k in done):
@@ -135,8 +144,9 @@ def _summary(config: Config, out: Path, present: int, seconds: float) -> Summary
     return Summary(
         out=str(out),
         samples=samples,
-        shards_made=len(done) - present,
-        shards_present=present,
+        shards_made=len(made),
+        shards_present=len(set(done) - set(made)),
+        shards_elsewhere=len(set(todo) - set(done)),
         redrawn=redrawn,
         bytes=size,
         seconds=round(seconds, 3),
@@ -164,30 +174,33 @@ def _todo(config: Config, out: Path, wanted: tuple[int, int] | None) -> list[int
 
 
 @contextmanager
-def _bar(progress: bool, config: Config, todo: list[int]) -> Iterator[Callable[[int], None]]:
+def _bar(progress: bool, config: Config, todo: list[int], made: list[int]) -> Iterator[Tell]:
+    """Show how many samples are rendered; shards that are told of are added to ``made``."""
     size = config.corpus.shard_size
     samples = sum(min(size, config.samples - k * size) for k in todo)
     console = Console(stderr=True)
     columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not (progress and console.is_terminal)) as bar:
         task = bar.add_task("samples", total=samples)
-        yield lambda n: bar.advance(task, n)
+
+        def tell(shard: int, samples: int) -> None:
+            bar.advance(task, samples)
+            if not samples:
+                made.append(shard)
+
+        yield tell
 
 
-def _work(
-    config: Config, out: Path, todo: list[int], maker: Maker, advance: Callable[[int], None]
-) -> None:
+def _work(config: Config, out: Path, todo: list[int], maker: Maker, tell: Tell) -> None:
     if not todo:
         return
     with threadpool_limits(limits=1):
         attempt = maker(config)
         for shard in todo:
-            make_shard(config, out, shard, attempt, advance)
+            make_shard(config, out, shard, attempt, tell)
 
 
-def make_shard(
-    config: Config, out: Path, shard: int, attempt: Attempt, advance: Callable[[int], None]
-) -> None:
+def make_shard(config: Config, out: Path, shard: int, attempt: Attempt, tell: Tell) -> None:
     """Make and commit one shard, unless another process holds or has made it."""
     with open(out / CLAIMS / f"{shard:06d}", "w") as claim:
         try:
@@ -205,8 +218,9 @@ def make_shard(
                 if reasons:
                     redrawn[str(spec.index)] = reasons
                 _write(config, made, views, writer)
-                advance(1)
+                tell(shard, 1)
             writer.commit({"samples": list(range(first, stop)), "redrawn": redrawn})
+        tell(shard, 0)
 
 
 def _accepted(
@@ -241,9 +255,8 @@ def _write(
 
 
 def _supervise(
-    config: Config, out: Path, todo: list[int], workers: int, maker: Maker,
-    advance: Callable[[int], None],
-) -> None:  # fmt: skip
+    config: Config, out: Path, todo: list[int], workers: int, maker: Maker, tell: Tell
+) -> None:
     """Run workers until every shard is committed; replace those that die."""
     context = multiprocessing.get_context("spawn")
     results: Any = context.Queue()
@@ -253,7 +266,7 @@ def _supervise(
         deaths, message = 0, ""
         try:
             while any(p.exitcode not in (0, 2) for p in running):
-                message = _drain(results, advance) or message
+                message = _drain(results, tell) or message
                 for number, process in enumerate(running):
                     if process.exitcode not in (None, 0, 2):
                         deaths += 1
@@ -266,7 +279,7 @@ def _supervise(
             for process in running:
                 process.terminate() if process.is_alive() else None
                 process.join()
-    message = _drain(results, advance) or message
+    message = _drain(results, tell) or message
     if message:
         raise CorpusError(message)
 
@@ -292,7 +305,7 @@ def _start(
 
 def _worker(config: Config, out: Path, todo: list[int], maker: Maker, results: Any) -> None:
     try:
-        _work(config, out, todo, maker, results.put)
+        _work(config, out, todo, maker, lambda shard, samples: results.put((shard, samples)))
     except KeyboardInterrupt:
         raise SystemExit(0) from None
     except SynthgenError as error:
@@ -300,13 +313,13 @@ def _worker(config: Config, out: Path, todo: list[int], maker: Maker, results: A
         raise SystemExit(2) from None
 
 
-def _drain(results: Any, advance: Callable[[int], None]) -> str:
-    """Advance the bar by what workers report; return a worker's error message, or nothing."""
+def _drain(results: Any, tell: Tell) -> str:
+    """Pass on what workers report; return a worker's error message, or nothing."""
     message = ""
     while not results.empty():
         said = results.get()
         if isinstance(said, str):
             message = said
         else:
-            advance(said)
+            tell(*said)
     return message

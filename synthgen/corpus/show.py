@@ -24,7 +24,9 @@ from synthgen.errors import CorpusError
 from synthgen.scanner import Scan
 
 
-def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str, Any]:
+def describe(
+    path: str | Path, index: int, *, remake: bool = False, out: Path | None = None
+) -> dict[str, Any]:
     """Describe a sample and write its pictures.
 
     Parameters
@@ -35,6 +37,8 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
         Position in the corpus.
     remake : bool
         Render it again and compare every member byte for byte.
+    out : Path, optional
+        Folder of the pictures; ``show`` in the corpus by default.
 
     Returns
     -------
@@ -44,6 +48,8 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
     corpus = open_corpus(path)
     sample = corpus[index]
     spec = sample.spec
+    folder = corpus.path / "show" if out is None else out
+    atomic.make_folder(folder)
     found: dict[str, Any] = {
         "sample": sample.index,
         "attempt": spec.attempt,
@@ -58,11 +64,11 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
              "keypoints_state": [h.keypoints_state.tolist() for h in v.hands]}
             for v in sample.views
         ],
-        "pictures": [str(_pictures(corpus, sample, k)) for k in range(len(sample.views))],
+        "pictures": [str(_pictures(folder, sample, k)) for k in range(len(sample.views))],
     }  # fmt: skip
     if sample.scan is not None:
         found["scan"] = _scan(sample.scan)
-        found["pictures"] += [str(path) for path in _scan_pictures(corpus, sample, sample.scan)]
+        found["pictures"] += [str(path) for path in _scan_pictures(folder, sample, sample.scan)]
     if remake:
         # As the runner does: sums over several threads round otherwise.
         with threadpool_limits(limits=1):
@@ -70,7 +76,7 @@ def describe(path: str | Path, index: int, *, remake: bool = False) -> dict[str,
     return found
 
 
-def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
+def _pictures(folder: Path, sample: Sample, number: int) -> Path:
     """Write one view's picture, skeleton, parts and depths side by side as a PNG."""
     view = sample.views[number]
     row: list[NDArray[np.uint8]] = [view.image, skeleton_picture(view), parts_picture(view)]
@@ -79,8 +85,6 @@ def _pictures(corpus: Corpus, sample: Sample, number: int) -> Path:
     if view.sensor_depth_z_m is not None:
         row.append(depth_picture(view, view.sensor_depth_z_m))
     sheet = np.concatenate(row, axis=1)[..., ::-1]
-    folder = corpus.path / "show"
-    atomic.make_folder(folder)
     path = folder / f"{view.key}.png"
     atomic.replace(path, cv2.imencode(".png", sheet)[1].tobytes())
     return path
@@ -101,10 +105,10 @@ def _scan(scan: Scan) -> dict[str, Any]:
     }
 
 
-def _scan_pictures(corpus: Corpus, sample: Sample, scan: Scan) -> list[Path]:
+def _scan_pictures(folder: Path, sample: Sample, scan: Scan) -> list[Path]:
     paths = []
     for name, picture in scan_pictures(scan).items():
-        path = corpus.path / "show" / f"{sample.views[0].key}.{name}.png"
+        path = folder / f"{sample.views[0].key}.{name}.png"
         atomic.replace(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
         paths.append(path)
     return paths

@@ -85,7 +85,7 @@ def test_edge_message_goes_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:
     [
         (SynthgenError("bad"), 2, "bad"),
         (WorkLeft("half"), 3, "half"),
-        (KeyboardInterrupt(), 3, "the same command resumes"),
+        (KeyboardInterrupt(), 3, "run the same command again"),
         (OSError(28, "No space left on device", "/full"), 2, "/full: No space left"),
     ],
 )

@@ -60,6 +60,9 @@ def test_properties_truth_recomputes(corpus_path: Path) -> None:
 
 def test_smoke_gallery_is_one_file(corpus_path: Path, tmp_path: Path) -> None:
     page = write_gallery(corpus_path, tmp_path / "g.html").read_text()
+    assert "The same in all: attempt 0 &middot; " in page
+    assert page.count('<div class="hist">') >= 3
+    assert "<b>attempt</b>" not in page
     assert page.count("<figure>") == 2
     assert "http" not in page.replace("http-equiv", "")
     assert contact_sheet(corpus_path, tmp_path / "s.jpg", 2).stat().st_size > 1000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import filecmp
 import os
 from multiprocessing import queues
@@ -115,6 +116,23 @@ def test_properties_a_range_of_shards_leaves_the_others(tmp_path: Path) -> None:
     assert shards.done_shards(out) == [0, 1, 2, 3]
     assert [s.index for s in open_corpus(out)] == [*range(7), 9, 10, 11]
     assert same(make(tmp_path / "whole", "samples=12"), make(out, "samples=12"))
+
+
+def test_properties_counts_of_two_runs_in_one_folder_add_up(tmp_path: Path) -> None:
+    """What another run holds is neither made here nor there yet."""
+    out, loaded = tmp_path / "c", config()
+    (out / "claims").mkdir(parents=True)
+    with open(out / "claims" / "000001", "w") as claim:
+        fcntl.flock(claim, fcntl.LOCK_EX)
+        first = generate(loaded, out, maker=fake.quick, progress=False)
+    total = first.shards_made + 1
+    assert (first.shards_present, first.shards_elsewhere) == (0, 1)
+    assert len(open_corpus(out)) == first.samples < loaded.samples
+    second = generate(loaded, out, maker=fake.quick, progress=False, workers=2)
+    assert (second.shards_made, second.shards_present) == (1, total - 1)
+    assert (second.shards_elsewhere, second.samples) == (0, loaded.samples)
+    third = generate(loaded, out, maker=fake.quick, progress=False)
+    assert (third.shards_made, third.shards_present) == (0, total)
 
 
 def test_edge_a_range_beyond_the_corpus(tmp_path: Path) -> None:

@@ -294,9 +294,15 @@ def test_edge_a_bandaged_finger_is_missed() -> None:
 
 
 def test_edge_two_odd_fingers_may_be_swapped() -> None:
-    found = fit(*swollen(0, 1), model(), perturbed(), "right")
+    found = fit(*swollen(1, 2), model(), perturbed(), "right")
     assert found.verdict == "fail"
-    assert found.reason in ("finger_swap(middle, index)", "finger_swap(index, middle)")
+    assert found.reason in ("finger_swap(middle, pinky)", "finger_swap(pinky, middle)")
+
+
+def test_edge_two_thick_neighbours_are_no_hand() -> None:
+    """Index and middle finger: a shape of thick fingers nearly explains them, but nobody has it."""
+    found = fit(*swollen(0, 1), model(), perturbed(), "right")
+    assert (found.verdict, found.reason) == ("fail", "shape_limit")
 
 
 def test_edge_a_giant_shape_is_named() -> None:

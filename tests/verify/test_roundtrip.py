@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,6 +87,29 @@ def test_smoke_report_and_page(trip: RoundTrip, tmp_path: Path) -> None:
     assert "not judged: normals, 1 of 1: too few pixels" in page
     unsound = sum(hand.verdict != "pass" for hand in trip.trips)
     assert page.count("as it truly was<img") == unsound
+
+
+def test_reference_the_truth_is_pictured_where_the_points_lie(
+    trip: RoundTrip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Smooth, as it was drawn: off the model's flat triangles the truth would look wrong."""
+    import igl
+
+    drawn = []
+
+    def noted(points: Any, vertices: Any, faces: Any, **_: Any) -> Any:
+        drawn.append((points, vertices, faces))
+        return np.zeros((8, 8, 3), np.uint8)
+
+    monkeypatch.setattr("synthgen.verify.roundtrip_page.draw_overlay", noted)
+    hand = replace(trip.trips[0], verdict="fail", reason="shown with its truth")
+    write_page(tmp_path / "trip.html", RoundTrip("gt", [hand]), "smooth")
+    (_, (points, smooth, faces)) = drawn
+    assert hand.truth is not None and hand.fit is not None
+    flat_faces = np.ascontiguousarray(hand.fit.model.faces, np.int64)
+    off = np.sqrt(igl.point_mesh_squared_distance(points, smooth, faces)[0])
+    flat = np.sqrt(igl.point_mesh_squared_distance(points, hand.truth, flat_faces)[0])
+    assert np.quantile(off, 0.95) < 1.5e-4 < np.quantile(flat, 0.95)
 
 
 def test_edge_a_fit_far_from_the_truth_is_pictured(trip: RoundTrip, tmp_path: Path) -> None:
