@@ -160,9 +160,9 @@ def arm_leaves_frame(end: Array, arm: Array, cameras: tuple[Camera, ...]) -> boo
 
 def _leaves(end: Array, arm: Array, camera: Camera) -> bool:
     T = np.asarray(camera.T_world_from_camera)
-    inside = [_in_frame((p - T[:3, 3]) @ T[:3, :3], camera) for p in (end, arm)]
+    inside = _in_frame((end - T[:3, 3]) @ T[:3, :3], camera)
     too_near = np.linalg.norm(arm - T[:3, 3], axis=1).min() < NEAREST_ARM_M
-    return bool(not inside[0].any() and not too_near)
+    return bool(not inside.any() and not too_near)
 
 
 def _in_frame(local: Array, camera: Camera, margin: float = 0.02) -> NDArray[np.bool_]:
