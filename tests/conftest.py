@@ -18,8 +18,10 @@ hypothesis.settings.load_profile("synthgen")
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep the user's cache out of the tests, and the tests out of the user's cache."""
-    before = os.environ.get("SYNTHGEN_CACHE")
-    os.environ["SYNTHGEN_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    before, folder = os.environ.get("SYNTHGEN_CACHE"), tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # what one process has baked, the others read
+        folder = folder.parent
+    os.environ["SYNTHGEN_CACHE"] = str(folder / "cache")
     yield
     if before is None:
         del os.environ["SYNTHGEN_CACHE"]

@@ -27,19 +27,6 @@ def synthgen_command(*words: str) -> tuple[int, dict[str, Any]]:
     return done.returncode, json.loads(done.stdout)
 
 
-@pytest.fixture
-def run_json(capfd: pytest.CaptureFixture[str]) -> JsonRun:
-    """Run a verb with --json in this process, which spares the imports."""
-
-    def run(*words: str) -> tuple[int, dict[str, Any]]:
-        code = main([*words, "--json"])
-        out = capfd.readouterr().out
-        assert out.count("\n") == 1
-        return code, json.loads(out)
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("corpus") / "tiny"

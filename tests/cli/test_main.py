@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -18,17 +17,6 @@ from synthgen.cli.output import Result
 from synthgen.errors import SynthgenError, WorkLeft
 
 JsonRun = Callable[..., tuple[int, dict[str, Any]]]
-
-
-@pytest.fixture
-def run_json(capfd: pytest.CaptureFixture[str]) -> JsonRun:
-    def run(*words: str) -> tuple[int, dict[str, Any]]:
-        code = cli.main([*words, "--json"])
-        out = capfd.readouterr().out
-        assert out.count("\n") == 1
-        return code, json.loads(out)
-
-    return run
 
 
 def raising(error: BaseException) -> Callable[..., Result]:
