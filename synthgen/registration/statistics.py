@@ -27,6 +27,8 @@ NEAR_M, EVALUATED = 0.010, 20_000
 LEAST_POINTS, COVERED_M = 60, 0.0025
 # 95 % quantile over the median of a half-normal.
 HALF_NORMAL = 2.906
+# Standard errors that a small part's statistics are given.
+DOUBT = 2.5
 # Relative standard error of that quantile, times the root of the number of points.
 QUANTILE_ERROR = 0.95
 # A p95 below this is good whatever the median: the model's own limits, not the noise.
@@ -47,8 +49,10 @@ class Statistics:
         Standard deviation of the points about the surface.
     local_noise_m : float
         Their own scatter, about local planes: less than ``noise_m`` where the model misfits.
+    counts : (6,)
+        Points near each part (palm, index, middle, pinky, ring, thumb).
     unexplained : (6,) and p95_m : (6,)
-        By part (palm, index, middle, pinky, ring, thumb); NaN where a part has few points.
+        By part; NaN where a part has few points.
     ratios : (6,)
         By part, its p95 over the global median, 1 for normal noise, less 2.5 standard errors of
         that quantile (small parts have few points); NaN where a part has few points.
@@ -74,6 +78,7 @@ class Statistics:
     noise_m: float
     local_noise_m: float
     rms_m: float
+    counts: Array
     unexplained: Array
     p95_m: Array
     ratios: Array
@@ -173,14 +178,15 @@ def statistics(
     limit = max(1e-3, 4 * noise)
     bad = (distance > limit) | ~facing
     part = part_of_vertex(placed.surface.model)[pairs.corner]
+    counts = np.bincount(part[near], minlength=len(PARTS))
     unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
     for k in range(len(PARTS)):
         own = near & (part == k)
-        if own.sum() >= LEAST_POINTS:
+        if counts[k] >= LEAST_POINTS:
             unexplained[k] = bad[own].mean()
             p95[k] = np.quantile(distance[own], 0.95)
             ratios[k] = p95[k] / max(HALF_NORMAL * median, LEAST_P95_M)
-            ratios[k] -= 2.5 * QUANTILE_ERROR / np.sqrt(own.sum())
+            ratios[k] -= DOUBT * QUANTILE_ERROR / np.sqrt(counts[k])
     inner = near & ~bad
     covered = coverage(placed, scan)
     sd = predicted_sd(placed, covariance)
@@ -193,6 +199,7 @@ def statistics(
         noise_m=noise,
         local_noise_m=scan.local_noise_m,
         rms_m=float(np.sqrt(np.mean(distance[inner] ** 2))) if inner.any() else NEAR_M,
+        counts=counts,
         unexplained=unexplained,
         p95_m=p95,
         ratios=ratios,

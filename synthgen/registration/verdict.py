@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from synthgen.registration.statistics import PARTS, Statistics
+from synthgen.registration.statistics import DOUBT, PARTS, Statistics
 
 Verdict = Literal["pass", "unobserved", "fail"]
 REASONS = (
@@ -83,7 +83,12 @@ def _biased_limit(s: Statistics) -> float:
     return max(BIASED, BIASED_RATIO * float(np.median(known))) if len(known) else np.inf
 
 
-def worst_part(s: Statistics, ratio: float, unexplained: float, misfit: bool) -> str:
+def unexplained_limits(s: Statistics, share: float) -> np.ndarray:
+    """Shares (6,) that no right part reaches: more where few points lie near it, by chance."""
+    return share + DOUBT * np.sqrt(share * (1 - share) / np.maximum(s.counts, 1))
+
+
+def worst_part(s: Statistics, ratio: float, unexplained: np.ndarray, misfit: bool) -> str:
     """Part at fault: the one farthest beyond its limits, by whichever statistic tells most.
 
     A finger bent into its neighbour leaves points that lie nearer to the neighbour, unexplained.
@@ -118,9 +123,10 @@ def explains_more(found: Statistics | None, other: Statistics | None) -> bool:
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     """Judge one finished fit."""
     misfit = s.noise_m > MISFIT * s.local_noise_m
-    ratio, unexplained = (MISFIT_RATIO, MISFIT_UNEXPLAINED) if misfit else (RATIO, UNEXPLAINED)
+    ratio, share = (MISFIT_RATIO, MISFIT_UNEXPLAINED) if misfit else (RATIO, UNEXPLAINED)
+    unexplained = unexplained_limits(s, share)
     bad = [PARTS[k] for k in np.argsort(-np.nan_to_num(s.unexplained))
-           if s.unexplained[k] >= unexplained]  # fmt: skip
+           if s.unexplained[k] >= unexplained[k]]  # fmt: skip
     if s.noise_m > NOISE_M:
         return Judgement("fail", "noise_above_spec")
     # One or two bad fingers may be a large share of the points; the palm tells a wrong basin.

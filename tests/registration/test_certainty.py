@@ -36,7 +36,7 @@ def ratios(n: int, noise_m: float, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("noise_m", NOISES_M)
 def test_properties_errors_are_as_large_as_predicted(noise_m: float) -> None:
     """Of few scans: the median of seven is within about a sixth of that of many."""
-    found = ratios(7, noise_m, 34)
+    found = ratios(7, noise_m, 31)
     assert len(found) >= 6
     assert 0.7 < np.median(found) < 1.4
 
