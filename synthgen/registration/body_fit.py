@@ -221,10 +221,10 @@ def _searched(search: BodySearch, begin: Array | None) -> tuple[BodyCandidate, s
         found = judged(search, search.finish(x))
         if best is None or found.rank > best.rank:
             best, kind = found, name
-        if sides := best.missed_arms:
-            other = judged(search, search.arms_again(best.placed.x, sides))
-            if other.rank > best.rank:
-                best, kind = other, f"{kind}, arms again"
+            if sides := best.missed_arms:
+                other = judged(search, search.arms_again(best.placed.x, sides))
+                if other.rank > best.rank:
+                    best, kind = other, f"{name}, arms again"
         if sides := best.missed_hands:
             other = judged(search, search.again(best.placed.x, sides))
             return (other if other.rank > best.rank else best), f"{kind}, hands again"

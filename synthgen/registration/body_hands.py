@@ -57,6 +57,8 @@ class HandPart:
     ----------
     surface : BodySurface
         Of the part.
+    vertices : (V',) int64
+        Of the body.
     columns : (n',) int64
         Of the body's vector: the part's vector is ``x[columns]``.
     shoulder : slice or None
@@ -70,6 +72,7 @@ class HandPart:
     """
 
     surface: BodySurface
+    vertices: Ids
     columns: Ids
     shoulder: slice | None
     elbow: slice
@@ -109,6 +112,7 @@ def hand_part(surface: BodySurface, side: str, whole_arm: bool = False) -> HandP
     ends = [model.joint_names.index(f"{side}_{name}") for name in ("elbow", "wrist")]
     return HandPart(
         surface=small,
+        vertices=ids,
         columns=np.concatenate(columns).astype(np.int64),
         shoulder=small.joint(f"{side}_shoulder") if whole_arm else None,
         elbow=elbow,

@@ -92,6 +92,10 @@ class BodySearch:
         began = time.process_time()
         x = close.x
         for side in SIDES:
+            x = self._arm(x, side)
+        self._spent("arms", began)
+        began = time.process_time()
+        for side in SIDES:
             x = self.restarted(x, side)
         self._spent("hands", began)
         return self.refine(x)
@@ -130,9 +134,12 @@ class BodySearch:
         """Search some arms among the points that the rest of the body leaves, then their hands."""
         began = time.process_time()
         for side in sides:
-            x = self.restarted(arm_begun_afresh(self.priors, self.scan, x, side), side)
+            x = self.restarted(self._arm(x, side, surely=True), side)
         self._spent("arms", began)
         return self.refine(x)
+
+    def _arm(self, x: Array, side: str, *, surely: bool = False) -> Array:
+        return arm_begun_afresh(self.priors, self.scan, x, side, surely=surely)
 
     def restarted(self, x: Array, side: str) -> Array:
         """Begin one hand afresh; see :func:`synthgen.registration.body_hands.begun_afresh`."""

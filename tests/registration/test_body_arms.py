@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from synthgen.models.joints import SIDES
 from synthgen.registration.body_arms import arm_begun_afresh
-from synthgen.registration.body_fit import BodyCandidate, judged
+from synthgen.registration.body_fit import BodyCandidate, body_scan, judged
 from synthgen.registration.body_hands import begun_afresh, hand_part
 from synthgen.registration.body_prior import body_priors
 from synthgen.registration.body_schedule import hand_vertices
 from synthgen.registration.body_search import BodySearch
 from synthgen.registration.verdict import Judgement
-from tests.registration.bodies import errors_mm, scan, surface, truth
+from tests.registration.bodies import errors_mm, scan, scanned, surface, truth
 
 
 def raised(side: str) -> np.ndarray:
@@ -41,6 +41,15 @@ def test_properties_a_lost_arm_is_found_again(side: str) -> None:
     own = [np.r_[s.joint(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")]
     same = np.setdiff1d(np.arange(s.n), np.concatenate([*own, np.r_[s.hands[side]]]))
     np.testing.assert_array_equal(found[same], x[same])
+
+
+@pytest.mark.parametrize("lost", [0.0, 1.0])
+def test_properties_an_arm_in_its_place_stays(lost: float) -> None:
+    """Without a search, also where its hand was not scanned."""
+    s = surface()
+    x, own = truth(), body_scan(*scanned(0, lost=lost))
+    for side in SIDES:
+        np.testing.assert_array_equal(arm_begun_afresh(body_priors(s), own, x, side), x)
 
 
 def test_properties_with_its_arm_the_body_passes() -> None:
