@@ -26,9 +26,10 @@ Image = NDArray[Any]
 
 PICTURES, MEASURED = "stereo picture place", "disparity place"
 # Pixels. Of 14 sound pairs of two rigs pictures are found at most 0.04 beside the measured
-# disparities, and these 0.12 to the right of the true ones; of pictures half a pixel off 0.41-0.59.
+# disparities, and these 0.12 to the right of the true ones (0.17 at half resolution); of pictures
+# half a pixel off 0.41-0.59.
 # Down measured ones may lie 0.4 beside the true: a calibration's rows do not quite correspond.
-PLACE_PX = 0.25
+PLACE_PX, MEASURED_PX = 0.25, 0.3
 WINDOW = 9
 # What can be told of a window: it is lit, the pictures match, and the surface is one and not steep.
 LIT, ALIKE, STEEP, FAR_PX = 4.0, 0.6, 1.5, 1.0
@@ -64,7 +65,7 @@ def check_measured_place(record: Record, pair: Pair) -> None:
     used = (np.abs(off) < FAR_PX) & (np.abs(slope).max(axis=-1) < STEEP)
     move = placed(off[used], slope[used])[0]
     if np.isfinite(move):
-        record.measure(MEASURED, abs(move), PLACE_PX,
+        record.measure(MEASURED, abs(move), MEASURED_PX,
                        "px to the right by which measured disparities are shifted")  # fmt: skip
     else:
         record.skip(MEASURED, FLAT)
