@@ -22,16 +22,18 @@ from synthgen.verify.report import Record
 from synthgen.verify.stereo_pair import FEWEST, Pair
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]
 
 PICTURES, MEASURED = "stereo picture place", "disparity place"
-# Pixels. Of sound pairs pictures are found at most 0.1 beside their disparities, measured
-# disparities 0.1 beside true ones; pictures half a pixel off at 0.39-0.56.
-PLACE_PX = 0.25
+# Pixels. Of 14 sound pairs of two rigs pictures are found at most 0.04 beside the measured
+# disparities, and these 0.12 to the right of the true ones (0.17 at half resolution); of pictures
+# half a pixel off 0.41-0.59.
+# Down measured ones may lie 0.4 beside the true: a calibration's rows do not quite correspond.
+PLACE_PX, MEASURED_PX = 0.25, 0.3
 WINDOW = 9
 # What can be told of a window: it is lit, the pictures match, and the surface is one and not steep.
 LIT, ALIKE, STEEP, FAR_PX = 4.0, 0.6, 1.5, 1.0
-UNSURE_PX, TOGETHER = 0.05, 2.0  # windows overlap: errors of neighbours are alike
+UNSURE_PX, LEAST_PX, TOGETHER = 0.05, 0.01, 2.0  # windows overlap: errors of neighbours are alike
 FLAT = "the surface that both cameras see does not slope enough to tell"
 
 
@@ -41,30 +43,30 @@ def check_place(record: Record, pair: Pair) -> None:
     if unit.left is None or unit.right is None:
         record.skip(PICTURES, "no pictures are stored")
         return
-    for grid in (unit.disparity, unit.true_disparity):
-        if grid is not None:
-            move = placed(*offsets(unit.left, unit.right, grid, unit.step))
-            if np.isfinite(move).any():
-                record.measure(PICTURES, np.nanmax(np.abs(move)), PLACE_PX,
-                               "px (right, down) by which both pictures are shifted")  # fmt: skip
-                return
-    record.skip(PICTURES, FLAT)
+    move = placed(*offsets(unit.left, unit.right, unit.disparity, unit.step))
+    if unit.true_disparity is not None and not np.isfinite(move).any():
+        move = placed(*offsets(unit.left, unit.right, unit.true_disparity, unit.step))[:1]
+    if np.isfinite(move).any():
+        record.measure(PICTURES, np.nanmax(np.abs(move)), PLACE_PX,
+                       "px (right, down) by which both pictures are shifted")  # fmt: skip
+    else:
+        record.skip(PICTURES, FLAT)
 
 
 def check_measured_place(record: Record, pair: Pair) -> None:
-    """Check that measured disparities lie where the true ones do."""
+    """Check that measured disparities do not lie to the right or left of the true ones."""
     unit, truth = pair.stored, pair.stored.true_disparity
     if truth is None:
         record.skip(MEASURED, "no true disparities are stored")
         return
     off = (unit.disparity - truth).astype(np.float64)
-    slope = np.stack(np.gradient(truth.astype(np.float64))[::-1], axis=-1) / unit.step
-    used = np.abs(off) < FAR_PX
-    used &= np.abs(slope).max(axis=-1) < STEEP
-    move = placed(off[used], slope[used])
-    if np.isfinite(move).any():
-        record.measure(MEASURED, np.nanmax(np.abs(move)), PLACE_PX,
-                       "px (right, down) by which measured disparities are shifted")  # fmt: skip
+    down, across = np.gradient(truth.astype(np.float64))
+    slope = np.stack([across, down], axis=-1) / unit.step
+    used = (np.abs(off) < FAR_PX) & (np.abs(slope).max(axis=-1) < STEEP)
+    move = placed(off[used], slope[used])[0]
+    if np.isfinite(move):
+        record.measure(MEASURED, abs(move), MEASURED_PX,
+                       "px to the right by which measured disparities are shifted")  # fmt: skip
     else:
         record.skip(MEASURED, FLAT)
 
@@ -78,8 +80,10 @@ def placed(off: Array, slope: Array) -> Array:
     near = np.abs(rest) < 3 * np.median(np.abs(rest)) / 0.6745
     fitted = shift(off[near], slope[near])
     columns = np.column_stack([np.ones(near.sum()), slope[near]])
-    spread = np.linalg.pinv(columns.T @ columns)
-    error = TOGETHER * rest[near].std() * np.sqrt(np.diag(spread))[1:]
+    known = columns.T @ columns
+    spread = np.linalg.inv(known + 1e-9 * np.trace(known) * np.eye(3))  # where nothing slopes
+    scatter = max(float(rest[near].std()), LEAST_PX)
+    error = TOGETHER * scatter * np.sqrt(np.diag(spread))[1:]
     return np.where(error < UNSURE_PX, -fitted[1:], np.nan)
 
 
@@ -90,16 +94,18 @@ def offsets(
 
     Of windows of 9 x 9 pixels that lie on one surface; slopes are per pixel, right and down.
     """
-    rows, columns = np.indices(left.shape, dtype=np.float32)
+    at = np.indices(left.shape).astype(np.float32)
+    rows, columns = at[0], at[1]
     known = np.isfinite(grid)
-    at = columns / step, rows / step
-    disparity = cv2.remap(np.where(known, grid, 0).astype(np.float32), *at, cv2.INTER_LINEAR)
-    whole = cv2.remap(known.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.999
-    there = columns - disparity, rows
-    whole &= (there[0] > 1) & (there[0] < left.shape[1] - 2)
+    x, y = columns / np.float32(step), rows / np.float32(step)
+    filled = np.where(known, grid, 0).astype(np.float32)
+    disparity = cv2.remap(filled, x, y, cv2.INTER_LINEAR)
+    whole = cv2.remap(known.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
+    there = columns - disparity
+    whole &= (there > 1) & (there < left.shape[1] - 2)
     one, other = left.astype(np.float32), right.astype(np.float32)
     ahead = (np.roll(other, -1, axis=1) - np.roll(other, 1, axis=1)) / 2
-    two, gradient = (cv2.remap(image, *there, cv2.INTER_CUBIC) for image in (other, ahead))
+    two, gradient = (cv2.remap(image, there, rows, cv2.INTER_CUBIC) for image in (other, ahead))
     off, sure = _lucas_kanade(one, two, gradient)
     down, across = np.gradient(disparity)
     steep = np.maximum(np.abs(across), np.abs(down)) > STEEP

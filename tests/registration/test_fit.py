@@ -212,7 +212,8 @@ def bumpy_scan(number: int, amplitude_m: float, first: int | None = None) -> tup
 @pytest.mark.parametrize(
     ("number", "amplitude_m", "first", "finger"),
     [(5, 6e-4, 1, "index"), (7, 6e-4, 13, "thumb"), (7, 6e-4, 14, "thumb"),
-     (1, 3e-4, 6, "middle"), (5, 3e-4, 6, "middle"), (4, 3e-4, 9, "pinky")],
+     (1, 3e-4, 6, "middle"), (5, 3e-4, 6, "middle"), (4, 3e-4, 9, "pinky"),
+     (5, 1e-6, 6, "middle")],
 )  # fmt: skip
 def test_properties_a_hidden_finger_of_a_bumpy_hand_is_unobserved(
     number: int, amplitude_m: float, first: int, finger: str

@@ -16,6 +16,7 @@ from synthgen.scanner import Rig, load_rig
 from synthgen.verify import verify
 from synthgen.verify.disparities import likeness, shift
 from synthgen.verify.draft import Draft, write_drafts
+from synthgen.verify.picture_place import offsets, placed
 from synthgen.verify.self_test import ALL_FAULTS, cell
 from synthgen.verify.stereo import rig_of
 from synthgen.verify.stereo_faults import STEREO_FAULTS
@@ -129,3 +130,36 @@ def test_reference_likeness_is_largest_at_the_disparity() -> None:
     assert scores[1] > 0.99
     assert max(scores[0], scores[2]) < 0.5
     assert likeness(left, right, np.full_like(grid, np.nan), 1, 0.0) is None
+
+
+def speckled(move: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two pictures of a curved surface, both moved right and down, and its disparities."""
+    y, x = np.indices((160, 200), np.float64)
+    disparity = 12 + 6 * np.sin(x / 30) + 5 * np.cos(y / 25)
+    waves = stream(0, "corpus", 0, 0, "waves").uniform(-0.6, 0.6, (60, 3))
+
+    def seen(column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        light = sum(np.sin(a * column + b * row + 3 * c) for a, b, c in waves)
+        return np.clip(128 + 10 * np.asarray(light), 0, 255)
+
+    u, v = x - move[0], y - move[1]
+    left = seen(u, v)
+    right = np.empty_like(left)
+    for k in range(len(right)):  # of a row, the point that the right camera sees at each pixel
+        there = u[k] - (12 + 6 * np.sin(u[k] / 30) + 5 * np.cos(v[k, 0] / 25))
+        point = np.interp(x[k] - move[0], there, u[k])
+        right[k] = seen(point, v[k])
+    return left.astype(np.uint8), right.astype(np.uint8), disparity[::2, ::2].astype(np.float32)
+
+
+@pytest.mark.parametrize("move", [(0.0, 0.0), (0.5, 0.0), (-0.3, 0.4)])
+def test_reference_pictures_that_are_moved_together(move: tuple[float, float]) -> None:
+    left, right, disparity = speckled(move)
+    assert placed(*offsets(left, right, disparity, 2)) == pytest.approx(move, abs=0.06)
+
+
+def test_edge_flat_or_dark_pictures_tell_no_place() -> None:
+    left, right, disparity = speckled((0.5, 0.0))
+    flat = np.full_like(disparity, 12.0)
+    assert np.isnan(placed(*offsets(left, np.roll(left, -12, axis=1), flat, 2))).all()
+    assert np.isnan(placed(*offsets(left // 200, right // 200, disparity, 2))).all()
