@@ -169,6 +169,13 @@ def test_edge_never_accepted(tmp_path: Path) -> None:
 
 def test_edge_another_config_is_refused(tmp_path: Path) -> None:
     out = make(tmp_path / "c")
+    with pytest.raises(CorpusError, match="another making .seed was 0, is 5.; choose"):
+        make(out, "seed=5")
+    with pytest.raises(
+        CorpusError, match=r"render\.height was 24, is 25; render\.spp was \d+, is 9"
+    ):
+        make(out, "render.height=25", "render.spp=9")
+    (out / "config.resolved.yaml").write_text("no: configuration")
     with pytest.raises(CorpusError, match="config_hash was"):
         make(out, "seed=5")
     with pytest.raises(CorpusError, match="not empty"):
