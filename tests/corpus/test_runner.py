@@ -169,7 +169,7 @@ def test_edge_never_accepted(tmp_path: Path) -> None:
 
 def test_edge_another_config_is_refused(tmp_path: Path) -> None:
     out = make(tmp_path / "c")
-    with pytest.raises(CorpusError, match="another making .seed was 0, is 5.; choose"):
+    with pytest.raises(CorpusError, match=r"another making \(seed was 0, is 5\); choose"):
         make(out, "seed=5")
     with pytest.raises(
         CorpusError, match=r"render\.height was 24, is 25; render\.spp was \d+, is 9"
