@@ -110,6 +110,17 @@ def test_edge_a_sample_that_is_rejected_now_is_not_the_same(
     assert again == {"same": False, "differing": [], "reason": rejected[0]}
 
 
+def test_smoke_pictures_of_a_corpus_on_a_read_only_disk_go_elsewhere(
+    corpus: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "pictures"
+    before = sorted(corpus.rglob("*"))
+    code, payload = synthgen_command("show", str(corpus), "--sample", "1", "--out", str(out))
+    assert (code, payload["pictures"]) == (0, [str(out / "000000001_00.png")])
+    assert (out / "000000001_00.png").stat().st_size > 1000
+    assert sorted(corpus.rglob("*")) == before
+
+
 def test_edge_show_out_of_range(corpus: Path) -> None:
     code, payload = synthgen_command("show", str(corpus), "--sample", "4")
     assert code == 2
