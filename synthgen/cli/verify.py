@@ -81,6 +81,9 @@ def verify(
     if found.never_judged:
         verdict += f", but nothing is known of {', '.join(found.never_judged)}"
     lines.append(f"{directory}: {found.samples} samples, {found.views} views checked: {verdict}")
+    if found.there < found.planned:
+        lines.append(f"{found.there} of {found.planned} planned samples are made; `synthgen "
+                     "generate` with the same arguments makes the rest")  # fmt: skip
     lines += [
         f"not judged: {check}, {times} of {times + found.judged[check]}: {reason}"
         for check, reasons in found.reasons().items()

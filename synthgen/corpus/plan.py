@@ -22,12 +22,12 @@ from rich.console import Console
 from rich.progress import Progress
 from threadpoolctl import threadpool_limits
 
-from synthgen.config import Config, config_hash, resolved_yaml
+from synthgen.config import Config, config_hash, load_config, resolved_yaml
 from synthgen.corpus import atomic
 from synthgen.corpus.checksums import CONFIG
 from synthgen.corpus.manifest import engine
 from synthgen.corpus.threads import single_threaded_children
-from synthgen.errors import CorpusError
+from synthgen.errors import CorpusError, SynthgenError
 from synthgen.sampling.draw import draw_sample
 from synthgen.sampling.spec import SampleSpec
 
@@ -141,6 +141,25 @@ def _refuse_strangers(out: Path) -> None:
         raise CorpusError(f"{out} is not empty and holds no corpus; choose another --out")
 
 
+def _other_keys(config: Config, out: Path) -> str:
+    """Say which keys of the folder's configuration are others; "" where that cannot be told."""
+    try:
+        stored = _flat(load_config(str(out / CONFIG)).model_dump(mode="json"))
+    except (SynthgenError, OSError):
+        return ""
+    mine = _flat(config.model_dump(mode="json"))
+    return "; ".join(f"{key} was {stored.get(key)}, is {mine.get(key)}" for key in sorted(mine)
+                     if key != "samples" and stored.get(key) != mine.get(key))  # fmt: skip
+
+
+def _flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        inner = isinstance(value, dict)
+        found |= _flat(value, f"{before}{key}.") if inner else {before + key: value}
+    return found
+
+
 def _claim(config: Config, mine: dict[str, Any], out: Path) -> None:
     """Refuse a folder that belongs to another config or was made by another engine."""
     path = out / ENGINE
@@ -148,7 +167,11 @@ def _claim(config: Config, mine: dict[str, Any], out: Path) -> None:
         theirs = _read_json(path)
         differing = [k for k in mine if theirs.get(k) != mine[k]]
         if differing:
-            said = "; ".join(f"{k} was {theirs.get(k)}, is {mine[k]}" for k in differing)
+            said = "; ".join(
+                (k == "config_hash" and _other_keys(config, out))
+                or f"{k} was {theirs.get(k)}, is {mine[k]}"
+                for k in differing
+            )
             raise CorpusError(
                 f"{out} holds a corpus of another making ({said}); choose another --out, or "
                 "restore what it was made with"

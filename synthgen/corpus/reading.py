@@ -160,6 +160,8 @@ def open_corpus(path: str | Path) -> Corpus:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / manifest.MANIFEST
+    if not path.is_dir():
+        raise CorpusError(f"{path}: no such folder; name the folder of a corpus")
     if not file.is_file():
         raise CorpusError(
             f"{path} holds no {manifest.MANIFEST}: not a corpus, or not finished; "

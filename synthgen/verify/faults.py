@@ -101,7 +101,8 @@ def _scan_label(
             told = scan.provenance | {name: change(scan.provenance[name])}
             draft.scan = replace(scan, provenance=told)
         else:
-            draft.scan = replace(scan, **{name: change(getattr(scan, name))})
+            changed: Any = {name: change(getattr(scan, name))}
+            draft.scan = replace(scan, **changed)
 
     return apply
 
@@ -350,7 +351,7 @@ FAULTS: dict[str, Fault] = {
         _scan_label("colors", lambda colours: colours[:, ::-1]), "scan", _UNSCANNED
     ),
     "texture of a scan upside down": Fault(
-        _scan_label("uv", lambda uv: uv * np.float32([1, -1]) + np.float32([0, 1])),
+        _scan_label("uv", lambda uv: np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)),
         "scan",
         _UNSCANNED,
     ),

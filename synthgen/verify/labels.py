@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
 from synthgen.corpus import Corpus, open_corpus, shards
 from synthgen.corpus.checksums import damaged_files
+from synthgen.corpus.plan import count_rows
 from synthgen.errors import IntegrityError
 from synthgen.scanner import Rig
 from synthgen.verify.checks import check_view
@@ -48,6 +50,7 @@ def verify(path: str | Path, samples: int | None = None, *, progress: bool = Fal
             report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, str(error)))
     for words in damaged_files(corpus.path, corpus.manifest):
         report.failures.append(Failure(-1, -1, "checksum", 1.0, 0.0, words))
+    report.planned, report.there = count_rows(corpus.path), len(corpus)
     rig = rig_of(corpus)
     chosen = _spread(len(corpus), samples)
     console = Console(stderr=True)
@@ -61,11 +64,12 @@ def verify(path: str | Path, samples: int | None = None, *, progress: bool = Fal
 def _one(report: VerifyReport, corpus: Corpus, position: int, rig: Rig | str) -> None:
     try:
         sample = corpus[position]
-        for view in sample.views:
-            check_view(report, sample, view)
-            report.views += 1
-        check_scan(report, sample)
-        check_stereo(report, rig, sample)
+        with np.errstate(all="ignore"):  # damaged labels make NaNs, which fail what they meet
+            for view in sample.views:
+                check_view(report, sample, view)
+                report.views += 1
+            check_scan(report, sample)
+            check_stereo(report, rig, sample)
     except UNREADABLE as error:
         message = f"{type(error).__name__}: {error}"
         number = corpus.index_of(position)

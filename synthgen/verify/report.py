@@ -42,12 +42,15 @@ class Unjudged:
 class VerifyReport:
     """Failures, and per check the worst value seen beside its limit.
 
+    ``planned`` counts the samples of the plan, of which ``there`` are made.
     ``lacking`` counts views by the column that they lack: ``depth`` where a corpus stores none.
     ``unjudged`` is what a check could not judge; ``judged`` counts what each did judge.
     """
 
     samples: int = 0
     views: int = 0
+    planned: int = 0
+    there: int = 0
     failures: list[Failure] = field(default_factory=list)
     worst: dict[str, tuple[float, float]] = field(default_factory=dict)
     lacking: dict[str, int] = field(default_factory=dict)
@@ -101,6 +104,8 @@ class VerifyReport:
             "ok": self.ok,
             "samples": self.samples,
             "views": self.views,
+            "planned": self.planned,
+            "there": self.there,
             "lacking": self.lacking,
             "not_judged": {
                 check: {"judged": self.judged[check], "not_judged": sum(reasons.values()),

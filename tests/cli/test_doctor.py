@@ -78,7 +78,7 @@ def test_edge_a_doctor_does_not_die(
 
     monkeypatch.setattr("synthgen.models.list_models", gone)
     assert main(["doctor"]) == 1
-    assert "No module named 'scipy' (pip install" in capsys.readouterr().out
+    assert "No module named 'scipy' (run `pip install" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["hand5", "foot10"])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import fake
 import numpy as np
 import pytest
 
+from synthgen.cli.main import main
 from synthgen.config import load_config
 from synthgen.corpus import open_corpus
 from synthgen.corpus.columns import decode_image, png
@@ -56,6 +58,17 @@ def test_properties_truth_recomputes(corpus_path: Path) -> None:
     assert sample.spec == draw_sample(
         load_config("fixtures", ["samples=2", "render.width=80", "render.height=64"]), 0
     )
+
+
+def test_smoke_pictures_of_a_corpus_on_a_read_only_disk_go_elsewhere(
+    corpus_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, out = sorted(corpus_path.rglob("*")), tmp_path / "pictures"
+    assert main(["show", str(corpus_path), "--sample", "1", "--out", str(out), "--json"]) == 0
+    (picture,) = json.loads(capsys.readouterr().out)["pictures"]
+    assert picture == str(out / "000000001_00.png")
+    assert Path(picture).stat().st_size > 1000
+    assert sorted(corpus_path.rglob("*")) == before
 
 
 def test_smoke_gallery_is_one_file(corpus_path: Path, tmp_path: Path) -> None:

@@ -12,10 +12,12 @@ from pathlib import Path
 import fake
 import pytest
 
+from synthgen.cli.main import main
 from synthgen.config import Config, load_config
 from synthgen.corpus import Sample, atomic, open_corpus, shards
 from synthgen.corpus.runner import Maker, generate
 from synthgen.errors import CorpusError, IntegrityError, WorkLeft
+from synthgen.verify import verify
 
 
 def config(*overrides: str) -> Config:
@@ -118,7 +120,9 @@ def test_properties_a_range_of_shards_leaves_the_others(tmp_path: Path) -> None:
     assert same(make(tmp_path / "whole", "samples=12"), make(out, "samples=12"))
 
 
-def test_properties_counts_of_two_runs_in_one_folder_add_up(tmp_path: Path) -> None:
+def test_properties_counts_of_two_runs_in_one_folder_add_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What another run holds is neither made here nor there yet."""
     out, loaded = tmp_path / "c", config()
     (out / "claims").mkdir(parents=True)
@@ -128,6 +132,12 @@ def test_properties_counts_of_two_runs_in_one_folder_add_up(tmp_path: Path) -> N
     total = first.shards_made + 1
     assert (first.shards_present, first.shards_elsewhere) == (0, 1)
     assert len(open_corpus(out)) == first.samples < loaded.samples
+    partial = verify(out)  # of a renderer that draws squares: its labels are wrong
+    assert (partial.planned, partial.there) == (loaded.samples, first.samples)
+    assert main(["verify", str(out)]) == 1
+    assert (
+        f"{first.samples} of {loaded.samples} planned samples are made" in capsys.readouterr().out
+    )
     second = generate(loaded, out, maker=fake.quick, progress=False, workers=2)
     assert (second.shards_made, second.shards_present) == (1, total - 1)
     assert (second.shards_elsewhere, second.samples) == (0, loaded.samples)
@@ -159,6 +169,13 @@ def test_edge_never_accepted(tmp_path: Path) -> None:
 
 def test_edge_another_config_is_refused(tmp_path: Path) -> None:
     out = make(tmp_path / "c")
+    with pytest.raises(CorpusError, match=r"another making \(seed was 0, is 5\); choose"):
+        make(out, "seed=5")
+    with pytest.raises(
+        CorpusError, match=r"render\.height was 24, is 25; render\.spp was \d+, is 9"
+    ):
+        make(out, "render.height=25", "render.spp=9")
+    (out / "config.resolved.yaml").write_text("no: configuration")
     with pytest.raises(CorpusError, match="config_hash was"):
         make(out, "seed=5")
     with pytest.raises(CorpusError, match="not empty"):

@@ -70,7 +70,7 @@ VERBS = {
     "generate": [
         "CONFIG", "--out", "--samples", "--seed", "--workers", "--shards", "--set", "--json",
     ],
-    "show": ["DIR", "--sample", "--remake", "--json"],
+    "show": ["DIR", "--sample", "--remake", "--out", "--json"],
     "verify": ["DIR", "--samples", "--start", "--report", "--self-test", "--json"],
     "fit": [
         "SCAN...", "--out", "--model", "--hand", "--start", "--coupled", "--preset", "--units",
