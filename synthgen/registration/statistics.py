@@ -178,7 +178,7 @@ def statistics(
     limit = max(1e-3, 4 * noise)
     bad = (distance > limit) | ~facing
     part = part_of_vertex(placed.surface.model)[pairs.corner]
-    counts = np.bincount(part[near], minlength=len(PARTS))
+    counts = np.bincount(part[near], minlength=len(PARTS)).astype(np.float64)
     unexplained, p95, ratios = (np.full(len(PARTS), np.nan) for _ in range(3))
     for k in range(len(PARTS)):
         own = near & (part == k)
