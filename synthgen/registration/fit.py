@@ -233,9 +233,9 @@ def _fit(
     best: tuple[Side, Candidate] | None = None
     for side in order:
         found = searches[side].search.run(searches[side].vectors)
-        if best is None or found.rank > best[1].rank:
+        if best is None or found.beats(best[1]):
             best = (side, found)
-        if found.accepted:
+        if found.settled:
             break
     assert best is not None
     side, chosen = best

@@ -32,7 +32,7 @@ from synthgen.registration.starts import ranked, reseeded
 from synthgen.registration.statistics import Statistics, early_explained, statistics
 from synthgen.registration.surface import Surface
 from synthgen.registration.terms import MixturePrior, Term, shape_prior
-from synthgen.registration.verdict import Judgement, judge
+from synthgen.registration.verdict import Judgement, explains_more, judge, misfits
 from synthgen.registration.visibility import visible_vertices
 
 Array = NDArray[np.float64]
@@ -117,6 +117,21 @@ class Candidate:
         if self.statistics is None:
             return (0.0, self.early)
         return (1.0 + self.accepted, self.statistics.explained)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is accepted, and not only because what misfits is judged leniently."""
+        s = self.statistics
+        passes = self.judgement is not None and self.judgement.verdict == "pass"
+        return self.accepted and s is not None and (passes or not misfits(s))
+
+    def beats(self, other: Candidate) -> bool:
+        """Tell whether one side's best fit is better than the other side's."""
+        if self.accepted and not self.settled and not other.accepted:
+            return not explains_more(other.statistics, self.statistics)
+        if other.accepted and not other.settled and not self.accepted:
+            return explains_more(self.statistics, other.statistics)
+        return self.rank > other.rank
 
 
 @dataclass

@@ -73,6 +73,11 @@ def sd_limit_m(noise_m: float, inflation: float = 1.0) -> float:
     return float((SD95_M + max(noise_m - USUAL_NOISE_M, 0.0)) * np.sqrt(inflation))
 
 
+def misfits(s: Statistics) -> bool:
+    """Tell whether the model lies off the scan by more than the scan's own scatter."""
+    return s.noise_m > MISFIT * s.local_noise_m
+
+
 def biased_parts(s: Statistics) -> tuple[str, ...]:
     """Parts that lie off the scan by more than noise, while the rest of the hand does not."""
     limit = _biased_limit(s)
@@ -124,7 +129,7 @@ def explains_more(found: Statistics | None, other: Statistics | None) -> bool:
 
 def judge(s: Statistics, shape: np.ndarray) -> Judgement:
     """Judge one finished fit."""
-    misfit = s.noise_m > MISFIT * s.local_noise_m
+    misfit = misfits(s)
     ratio, share = (MISFIT_RATIO, MISFIT_UNEXPLAINED) if misfit else (RATIO, UNEXPLAINED)
     unexplained = unexplained_limits(s, share)
     bad = [PARTS[k] for k in np.argsort(-np.nan_to_num(s.unexplained))

@@ -112,6 +112,8 @@ def test_properties_the_other_side_must_explain_more_to_be_named() -> None:
     points, normals, _ = simulate_scan(vertices, surface().faces, settings, rng=rng("im82"))
     found = fit(points, normals, model(), perturbed(8), "right")
     assert (found.verdict, found.reason) == ("fail", "finger_missed(thumb)")
+    found = fit(points, normals, model())
+    assert (found.hand, found.reason) == ("right", "finger_missed(thumb)")
 
 
 @pytest.mark.parametrize("number", [0, 3, 4])
