@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 from synthgen.cli.fit_files import names_of
-from synthgen.errors import ShapeError
+from synthgen.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
     from synthgen.models import BodyModel
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from synthgen.registration.tracked import Place
 
 WHOLE, STATE = "sequence", "sequence.state"
+FARTHEST_M = 1e5  # the coarse stage works in float32, and a sequence keeps its frame
 FRAME_KEYS = ("scan", "verdict", "reason", "followed", "unseen_frames", "files")
 
 
@@ -51,10 +52,19 @@ class Reel:
         """Read a frame; a later one that cannot be read is an empty one."""
         import numpy as np
 
+        from synthgen.registration.far import origin_of
         from synthgen.registration.reading import StoredScan, read_scan
 
         try:
-            return read_scan(path, self.units, self.expected)
+            scan = read_scan(path, self.units, self.expected)
+            middle = origin_of(scan.points)
+            if middle is not None and np.linalg.norm(middle) > FARTHEST_M:
+                raise ConfigError(
+                    f"{path}: lies {np.linalg.norm(middle):.3g} m from the origin; --sequence "
+                    f"tracks within {FARTHEST_M:g} m: subtract an offset from all frames, or fit "
+                    "them one by one"
+                )
+            return scan
         except ShapeError as error:
             if k == 0:
                 raise

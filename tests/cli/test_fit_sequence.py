@@ -70,6 +70,15 @@ def test_edge_errors(
     assert message in capsys.readouterr().err
 
 
+def test_edge_frames_far_from_the_origin_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "far.xyz"
+    np.savetxt(file, scanned()[0][:2000] + 5e6, fmt="%.6f")
+    assert main(["fit", str(file), "--sequence", "--out", str(tmp_path / "out")]) == 2
+    assert "far.xyz: lies 8.66e+06 m from the origin" in capsys.readouterr().err
+
+
 def test_edge_a_single_scan_has_no_template(
     frames: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
