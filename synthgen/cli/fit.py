@@ -37,6 +37,14 @@ PresetName = Annotated[
     ),
 ]
 Units = Annotated[str, typer.Option("--units", metavar="UNIT", help="auto, m, mm, cm or inch.")]
+Smooth = Annotated[
+    bool,
+    typer.Option(
+        "--smooth",
+        help="The scanned surface is smooth through the model's vertices, as corpora draw it, not its"
+        " flat triangles (hand models only).",
+    ),
+]
 Tracked = Annotated[
     bool, typer.Option("--sequence", help="Scans are frames of one subject: track it.")
 ]
@@ -64,6 +72,7 @@ def fit(
     coupled: Coupled = False,
     preset: PresetName = "fast",
     units: Units = "auto",
+    smooth: Smooth = False,
     sequence: Tracked = False,
     template: Template = "auto",
     again: Again = False,
@@ -78,12 +87,14 @@ def fit(
 
         if preset != "fast":
             raise ConfigError(f"--preset {preset} is for single scans; leave it out of --sequence")
+        if smooth:
+            raise ConfigError("--smooth is for single scans; leave it out of --sequence")
         return fit_sequence(scans, out, model, hand, _start(start), coupled=coupled,
                             template=template, units=units, again=again,
                             progress=not as_json)  # fmt: skip
     if template != "auto":
         raise ConfigError(f"--template {template} is for --sequence; a single scan has no frames")
-    options = Options(hand, _start(start), coupled, preset, units)
+    options = Options(hand, _start(start), coupled, preset, units, smooth)
     return fit_batch(scans, out, model, options, again=again, progress=not as_json)
 
 

@@ -29,6 +29,14 @@ class Options:
     coupled: bool
     preset: str
     units: str
+    smooth: bool = False
+
+    @property
+    def curved(self) -> float:
+        """Return how far the scanned surface bulges above the model's triangles."""
+        from synthgen.registration.correspondences import SMOOTH
+
+        return SMOOTH if self.smooth else 0.0
 
     def told(self) -> list[Any]:
         """Return them as JSON types."""
@@ -36,7 +44,7 @@ class Options:
 
         word = isinstance(self.start, str)
         begin = self.start if word else [np.asarray(part).tolist() for part in self.start]
-        return [self.hand, begin, self.coupled, self.preset, self.units]
+        return [self.hand, begin, self.coupled, self.preset, self.units, self.smooth]
 
 
 @dataclass
@@ -76,7 +84,7 @@ class Batch:
             return f"{error}: left out"
         o = self.options
         found = register(scan.points, scan.normals, self.model, o.start, o.hand,
-                         preset=o.preset, coupled=o.coupled)  # fmt: skip
+                         preset=o.preset, coupled=o.coupled, curved=o.curved)  # fmt: skip
         self.reports.append(write(self.out, name, path, scan, found, key))
         return _line(self.reports[-1])
 
@@ -123,7 +131,7 @@ def fit_batch(
     from synthgen.registration.reading import check_file
 
     batch = Batch(scans, out, load(model), options)
-    check_options(batch.model, options.start, options.hand, options.preset)
+    check_options(batch.model, options.start, options.hand, options.preset, options.curved)
     for path in scans:
         check_file(path, options.units)
     spared(scans, out, batch.names)

@@ -13,6 +13,8 @@ from synthgen.registration.free_mesh import walked_to
 from synthgen.registration.surface import Placed
 
 Array = NDArray[np.float64]
+# Of Phong's bulge over a triangle, what the smooth surface through its vertices has.
+SMOOTH = 0.5
 # Half the width of a ramp of cosines, and of weights on inner vertices, over which a pair comes in.
 SOFT, INNER = 0.15, 0.3
 

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from synthgen.errors import ModelError, ShapeError
 from synthgen.models import BodyModel, ManoModel, mirror_model, mirror_pose
-from synthgen.registration.advice import advice
 from synthgen.registration.body_fit import (
     body_surface,
     checked_keypoints,
@@ -32,6 +31,7 @@ from synthgen.registration.prior import learned_prior
 from synthgen.registration.scan import FARTHEST_M, Scan, checked_points, scan_of
 from synthgen.registration.schedule import pca_basis, pca_origin, preset_named
 from synthgen.registration.search import Candidate, Search, Settings
+from synthgen.registration.search_report import report_of
 from synthgen.registration.starts import around, learned_starts, table_starts
 from synthgen.registration.surface import surface_of
 from synthgen.registration.terms import GaussianPrior, KeypointTerm, Term
@@ -114,10 +114,12 @@ def fit(
         return _checked(request, points, normals, begin, sides, viewpoints, seed)
 
 
-def check_options(model: BodyModel, start: Start, hand: str | None, preset: str) -> None:
+def check_options(
+    model: BodyModel, start: Start, hand: str | None, preset: str, curved: float
+) -> None:
     """Refuse, as :func:`fit` does, what no scan can be fitted with."""
     if isinstance(model, BodyModel) and model.hand is None:
-        _only_hands(hand=hand, preset=preset)
+        _only_hands(hand=hand, preset=preset, curved=curved)
         start_vector(body_surface(model), start)
         return
     _sides(hand)
@@ -349,7 +351,15 @@ def _result(
         joints=placed.joints * flip,
         verdict=judgement.verdict,
         reason=judgement.text,
-        report=_report(request, run, judgement, chosen, dropped, time.process_time() - began),
+        report=report_of(
+            run.search,
+            judgement,
+            chosen,
+            hand=side,
+            start=run.kind,
+            dropped=dropped,
+            cpu_s=time.process_time() - began,
+        ),
         model=model,
         vertex_sd_m=np.zeros(0) if chosen.statistics is None else chosen.statistics.sd_m,
         free_vertices=None if free is None else free * flip,
@@ -364,36 +374,6 @@ def _freed(request: _Request, run: _Run, chosen: Candidate) -> Array | None:
     free = couple(settings.surface, run.scan, chosen.x, settings.priors(1.0)).vertices
     run.search.seconds["coupled"] = time.process_time() - began
     return free
-
-
-def _report(
-    request: _Request, run: _Run, judgement: Judgement, chosen: Candidate, dropped: int, cpu: float
-) -> dict[str, Any]:
-    found = chosen.statistics
-    tried = [
-        {"source": c.source, "early_explained": c.early,
-         "verdict": None if c.judgement is None else c.judgement.verdict,
-         "reason": "dropped early" if c.judgement is None else c.judgement.text}
-        for c in run.search.candidates
-    ]  # fmt: skip
-    message = advice(judgement, found, run.side)
-    return {
-        "verdict": judgement.verdict,
-        "reason": judgement.text,
-        **({} if message is None else {"message": message}),
-        "hand": run.side,
-        "model": request.model.name,
-        "model_digest": request.model.digest,
-        "preset": request.preset,
-        "start": run.kind,
-        "points": len(run.scan.points),
-        "points_dropped": dropped,
-        "candidates": tried,
-        "stages": chosen.stages,
-        "largest_beta": float(np.abs(chosen.x[run.settings.surface.shape]).max(initial=0.0)),
-        "statistics": None if found is None else found.to_json(),
-        "cpu_s": {"total": cpu, **run.search.seconds},
-    }
 
 
 def fit_many(scans: Sequence[tuple[Any, Any]], model: BodyModel, **settings: Any) -> list[Fit]:

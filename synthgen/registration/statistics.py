@@ -61,7 +61,7 @@ class Statistics:
     coverage : (6,)
         Share of a part's vertices with a scan point within 2.5 mm that faces alike.
     tip_coverage : (6,)
-        The same of each finger's last phalanx; of the palm as ``coverage``.
+        The same of each finger's last phalanx and the palm, by points that lie on that part.
     sd_m : (V,)
         Predicted standard deviation of each vertex.
     sd95_m : (6,)
@@ -188,7 +188,7 @@ def statistics(
             ratios[k] = p95[k] / max(HALF_NORMAL * median, LEAST_P95_M)
             ratios[k] -= DOUBT * QUANTILE_ERROR / np.sqrt(counts[k])
     inner = near & ~bad
-    covered = coverage(placed, scan)
+    covered, shown = coverage(placed, scan)
     sd = predicted_sd(placed, covariance)
     by_vertex = part_of_vertex(placed.surface.model)
     patches = patches_of(placed, pairs, points, normals, noise)
@@ -205,7 +205,7 @@ def statistics(
         ratios=ratios,
         biased=patches.biased_share(by_vertex, len(PARTS)),
         coverage=np.array([covered[by_vertex == k].mean() for k in range(len(PARTS))]),
-        tip_coverage=np.array([covered[own].mean() for own in tips_of(placed.surface.model)]),
+        tip_coverage=np.array([shown[own].mean() for own in tips_of(placed.surface.model)]),
         sd_m=sd,
         sd95_m=np.array([np.quantile(sd[by_vertex == k], 0.95) for k in range(len(PARTS))]),
         inflation=inflation,
@@ -219,13 +219,22 @@ def _corners(last: Pairs | None, scan: Scan) -> NDArray[np.int64] | None:
     return last.corner[-EVALUATED:]
 
 
-def coverage(placed: Placed, scan: Scan) -> NDArray[np.bool_]:
-    """Return (V,) whether a scan point lies within 2.5 mm and faces alike."""
+def coverage(placed: Placed, scan: Scan) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return (V,) whether a scan point lies within 2.5 mm and faces alike, and whether of its part.
+
+    A finger that was not scanned may be fitted beside another one's points.
+    """
     distance, near = nearest(scan.tree, placed.vertices, 4 * COVERED_M)
     found = np.isfinite(distance)
     alike = np.zeros(len(distance), dtype=bool)
     alike[found] = np.sum(placed.normals[found] * scan.normals[near[found]], axis=1) > 0.3
-    return np.asarray(alike & (distance < COVERED_M))
+    covered = np.flatnonzero(alike & (distance < COVERED_M))
+    those, which = np.unique(near[covered], return_inverse=True)
+    at = closest(placed, scan.points[those], scan.normals[those], cut_m=COVERED_M, cosine=-2.0)
+    part = part_of_vertex(placed.surface.model)
+    shown = covered[part[at.corner][which] == part[covered]]
+    number = np.arange(len(part))
+    return np.isin(number, covered), np.isin(number, shown)
 
 
 def predicted_sd(placed: Placed, covariance: Array) -> Array:

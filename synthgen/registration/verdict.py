@@ -41,11 +41,11 @@ SD95_M, USUAL_NOISE_M = 6e-4, 2e-4
 # hands with 0.6 mm of unmodelled detail to 9 mm at worst, but for fingers hidden in a fist.
 HIDDEN_SD95_M = 9e-3
 # That holds of a finger whose last phalanx shows by this share at least; what shows less must be
-# known better, in proportion, down to the second. Without its fingertip's points a finger is known
-# to 4.2-13 mm, and the fit covers up to 0.18 of the phalanx with the rest's points (147 cut fingers
-# of hands with 0.3-1 mm of detail); of 112 whole hands less than this show of tips hidden in fists
-# alone. Two of 48 scans with 0.18 mm of detail miss a tip: known to 3.5 and 4.2 mm, 1.0, 0.4 off.
-TIP_COVERED, UNSHOWN_SD95_M = 0.25, 4e-3
+# known better, in proportion, down to the second. Of 105 cut fingers of hands with 0.3-1 mm of
+# detail, up to 0.13 of the phalanx shows, where the rest's points lie, and the finger is known to
+# 2.6-13 mm; whole thumbs that are missing are fitted beside other fingers' points, 9-20 mm off.
+# Of 71 whole hands less than this shows of tips hidden in fists alone.
+TIP_COVERED, UNSHOWN_SD95_M = 0.25, 2.5e-3
 FAR, NOISE_M, SHAPE_SD = 0.2, 2e-3, 4.0
 PENDING = 0.01  # one more step would lower the energy by a hundredth: the solver was cut short
 

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from synthgen.corpus.sample import Subject
 from synthgen.registration import Fit
-from synthgen.registration.correspondences import closest
+from synthgen.registration.correspondences import SMOOTH, closest
 from synthgen.registration.statistics import LEAST_POINTS, PARTS, part_of_vertex
 from synthgen.registration.surface import surface_of
 from synthgen.verify.stored_points import StoredPoints
 
 Array = NDArray[np.float64]
-CURVED = 0.5  # what is drawn is smooth through the model's vertices
+CURVED = SMOOTH  # what is drawn is smooth through the model's vertices
 TRUTH_EXPLAINS = 0.97
 AS_WELL, AS_WELL_M = 1.2, 5e-5
 # Of sound samples 0.99 of all points and 0.94 of every part's are explained, scanner's and

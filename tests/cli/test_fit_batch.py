@@ -12,6 +12,8 @@ import pytest
 
 from synthgen.cli import fit_batch
 from synthgen.cli.main import main
+from synthgen.geometry.normals import vertex_normals
+from synthgen.geometry.subdivision import InterpolatingSubdivision
 from tests.cli.test_fit_sequence import contents
 from tests.registration.hands import scanned, surface, truth
 
@@ -102,12 +104,43 @@ def test_properties_a_key_names_all_that_decides_a_fit(tmp_path: Path) -> None:
     given = (np.zeros(10), np.zeros((16, 3)), np.zeros(3))
     others = [replace(options, hand="left"), replace(options, start=given),
               replace(options, coupled=True), replace(options, preset="paper"),
-              replace(options, units="m")]  # fmt: skip
+              replace(options, units="m"), replace(options, smooth=True)]  # fmt: skip
     keys = {fit_batch.key_of(scan, "model", one) for one in (options, *others)}
     assert fit_batch.key_of(scan, "model", options) in keys
     keys |= {fit_batch.key_of(scan, "other model", options)}
     scan.write_text("0 0 1")
-    assert len(keys | {fit_batch.key_of(scan, "model", options)}) == 8
+    assert len(keys | {fit_batch.key_of(scan, "model", options)}) == 9
+
+
+def test_properties_scans_of_smooth_skin_are_fitted_as_such(tmp_path: Path) -> None:
+    """As corpora draw it, through the model's vertices."""
+    vertices = surface().at(truth()).vertices
+    smooth = InterpolatingSubdivision.build(surface().faces, len(vertices))
+    points = smooth.apply(vertices)
+    scan, start = tmp_path / "scan.xyz", tmp_path / "start.npz"
+    np.savetxt(scan, np.column_stack([points, vertex_normals(points, smooth.faces)]), fmt="%.6f")
+    shape, pose, translation = surface().unpack(truth())
+    np.savez(start, shape=shape, pose=pose, translation=translation)
+    off = []
+    for word in ([], ["--smooth"]):
+        command = ["fit", str(scan), "--start", str(start), "--hand", "right", *word]
+        assert main([*command, "--out", str(tmp_path / "out")]) == 0
+        with np.load(tmp_path / "out" / "scan.npz") as found:
+            off.append(np.linalg.norm(found["vertices"] - vertices, axis=1).mean())
+    assert off[1] < 1e-4
+    assert off[1] < 0.5 * off[0]
+
+
+@pytest.mark.parametrize("more", [["--sequence"], ["--model", "cc0-body"]])
+def test_edge_smooth_is_for_single_hands(
+    more: list[str], batch: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        [word for word in batch if word not in ("--hand", "right")] if "--model" in more else batch
+    )
+    assert main([*words, *more, "--smooth", "--out", "nowhere"]) == 2
+    assert not Path("nowhere").exists()
+    assert "leave it out" in capsys.readouterr().err
 
 
 def test_edge_a_scan_that_cannot_be_read_stops_no_batch(
