@@ -41,8 +41,8 @@ Smooth = Annotated[
     bool,
     typer.Option(
         "--smooth",
-        help="The scanned surface is smooth through the model's vertices, as corpora draw it, not its"
-        " flat triangles (hand models only).",
+        help="The scanned surface is smooth through the model's vertices, as corpora draw it, not "
+        "its flat triangles (hand models only).",
     ),
 ]
 Tracked = Annotated[
