@@ -74,7 +74,7 @@ VERBS = {
     "verify": ["DIR", "--samples", "--start", "--report", "--self-test", "--json"],
     "fit": [
         "SCAN...", "--out", "--model", "--hand", "--start", "--coupled", "--preset", "--units",
-        "--sequence", "--template", "--again", "--json",
+        "--smooth", "--sequence", "--template", "--again", "--json",
     ],
     "train-init": ["MODEL", "--out", "--seconds", "--hands", "--json"],
     "preview": ["DIR", "--out", "--sheet", "--json"],

@@ -234,5 +234,5 @@ def test_edge_a_view_without_a_hand_is_not_judged(corpus_path: Path) -> None:
     check_surface(Record(report, 0, 0), sample, view, again)
     assert report.ok
     assert not report.worst
-    assert set(report.reasons()) == {"depth", "sensor depth", "face", "uv", "parts",
-                                     "normal length", "normals"}  # fmt: skip
+    assert set(report.reasons()) == {"depth", "sensor depth", "face", "barycentrics", "uv",
+                                     "parts", "normal length", "normals"}  # fmt: skip
