@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 from synthgen import __version__
 from synthgen.cli.fit_files import names_of, report_of, spared, write
@@ -61,6 +62,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         self.names = names_of(self.scans)
+        self.digest = self.model.digest + _learned(self.model)
 
     def one(self, number: int, *, again: bool) -> str:
         """Fit one scan, or recall its fit; return it in words."""
@@ -69,7 +71,7 @@ class Batch:
         from synthgen.registration.reading import read_scan
 
         path, name = self.scans[number], self.names[number]
-        key = key_of(path, self.model.digest, self.options)
+        key = key_of(path, self.digest, self.options)
         report = None if again else report_of(self.out, name, key)
         if report is not None:
             self.recalled += 1
@@ -151,11 +153,40 @@ def fit_batch(
 
 
 def key_of(path: Path, digest: str, options: Options) -> str:
-    """Return a name of all that decides a fit: scan, model, options and version."""
-    with open(path, "rb") as file:
-        content = hashlib.file_digest(file, "sha256").hexdigest()
+    """Return a name of all that decides a fit: scan, model, options and version.
+
+    ``digest`` is that of the model and of what was learned for it.
+    """
+    content = [_digest(file) for file in (path, *_buffers(path))]
     told = json.dumps([__version__, str(path), content, digest, *options.told()])
     return hashlib.sha256(told.encode()).hexdigest()
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _buffers(path: Path) -> list[Path]:
+    """Return the files beside a glTF that hold its points."""
+    if path.suffix.lower() != ".gltf":
+        return []
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        named = [row["uri"] for row in told["buffers"] if "uri" in row]
+        beside = [path.parent / unquote(uri) for uri in named if not uri.startswith("data:")]
+        return [file for file in beside if file.is_file()]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return []  # no glTF, as reading it will say
+
+
+def _learned(model: BodyModel) -> str:
+    """Return the digest of the user's own initialiser of a model, which train-init may renew."""
+    from synthgen.models import mirror_model
+    from synthgen.registration.initialiser import initialiser_path
+
+    path = initialiser_path(mirror_model(model) if model.hand == "left" else model)
+    return _digest(path) if path.is_file() else ""
 
 
 def _line(report: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ from synthgen.verify.report import Record
 
 Mask = NDArray[np.bool_]
 
-FARTHEST_M = 65535 * DEPTH_STEP_M  # what the depth column can say
+FARTHEST_STEPS = 65535  # what the depth column can say
 EXR_DEPTH_M, EXR_K_PX = DEPTH_STEP_M / 2 + 1e-6, 1e-3
 # Rank correlation of the picture's brightness with the linear one; of 12 pictures of hand_full, the
 # darkest and noisiest included, at least 0.95, of another sample's at most 0.7.
@@ -88,7 +88,8 @@ def check_exr(record: Record, view: View) -> None:
         wrong = np.sum(exr["instance"] != view.instance_id) + np.sum(exr["part"] != view.part_id)
         record.measure("exr ids", wrong, 0, "pixels with other ids than in the labels")
     if "depth" in view.columns:
-        z = np.where(exr["Z"] > FARTHEST_M, 0, exr["Z"])
+        steps = np.rint(exr["Z"].astype(np.float64) / DEPTH_STEP_M)
+        z = np.where(steps > FARTHEST_STEPS, 0, exr["Z"])
         record.measure("exr depth", np.abs(z - view.depth_z_m).max(), EXR_DEPTH_M,
                        "m between Z and the depth column")  # fmt: skip
     if "image" in view.columns:

@@ -77,7 +77,7 @@ def placed(off: Array, slope: Array) -> Array:
         return np.full(2, np.nan)
     fitted = shift(off, slope)
     rest = off - fitted[0] - slope @ fitted[1:]
-    near = np.abs(rest) < 3 * np.median(np.abs(rest)) / 0.6745
+    near = np.abs(rest) < 3 * max(np.median(np.abs(rest)) / 0.6745, LEAST_PX)
     fitted = shift(off[near], slope[near])
     columns = np.column_stack([np.ones(near.sum()), slope[near]])
     known = columns.T @ columns

@@ -14,6 +14,8 @@ from synthgen.cli import fit_batch
 from synthgen.cli.main import main
 from synthgen.geometry.normals import vertex_normals
 from synthgen.geometry.subdivision import InterpolatingSubdivision
+from synthgen.models import load
+from synthgen.registration.initialiser import initialiser_path
 from tests.cli.test_fit_sequence import contents
 from tests.registration.hands import scanned, surface, truth
 
@@ -110,6 +112,33 @@ def test_properties_a_key_names_all_that_decides_a_fit(tmp_path: Path) -> None:
     keys |= {fit_batch.key_of(scan, "other model", options)}
     scan.write_text("0 0 1")
     assert len(keys | {fit_batch.key_of(scan, "model", options)}) == 9
+
+
+def test_properties_a_key_knows_the_files_beside_a_gltf(tmp_path: Path) -> None:
+    options = fit_batch.Options("auto", "cold", False, "fast", "auto")
+    scan, points = tmp_path / "a.gltf", tmp_path / "its points.bin"
+    own = {"uri": "data:application/octet-stream;base64,AAAA"}
+    keys = set()
+    for buffers in ([own], [own, {"uri": "its%20points.bin"}], [{"uri": "absent.bin"}], 7):
+        scan.write_text(json.dumps({"buffers": buffers}))
+        for content in (b"1", b"2"):
+            points.write_bytes(content)
+            keys.add(fit_batch.key_of(scan, "model", options))
+    assert len(keys) == 5
+
+
+def test_properties_what_was_learned_anew_is_fitted_again(
+    batch: list[str], fitted: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    command = [*batch[:2], *batch[4:], "--out", str(tmp_path / "out")]
+    assert main(command) == main(command) == 0
+    assert fitted == ["scan0"]
+    file = initialiser_path(load("cc0-hand"))
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"other weights")  # the one in use is in memory
+    assert main(command) == 0
+    assert fitted == ["scan0", "scan0"]
 
 
 def test_properties_scans_of_smooth_skin_are_fitted_as_such(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from synthgen.config import load_config
 from synthgen.corpus import Corpus, open_corpus
+from synthgen.corpus.columns import DEPTH_STEP_M, _exr, depth_steps
 from synthgen.corpus.runner import generate
 from synthgen.verify import verify
 from synthgen.verify.draft import Draft, write_drafts
@@ -103,6 +105,22 @@ def test_properties_wrong_exrs_are_found(corpus: Corpus, monkeypatch: pytest.Mon
     assert find(instance=lambda a: 0 * a) == {"exr ids"}
     monkeypatch.setattr("synthgen.verify.facts.exr_header", lambda _: {"K": np.eye(3)})
     assert find() == {"exr K"}
+
+
+def test_edge_walls_at_the_end_of_the_depth_column_are_no_defect() -> None:
+    """A depth that rounds to the last step is stored."""
+    z = np.linspace(6.5530, 6.5540, 512, dtype=np.float32)[None]
+    ids, camera = np.zeros(z.shape, np.uint8), SimpleNamespace(K=np.eye(3))
+    labels = SimpleNamespace(depth_z_m=z, part_id=ids, instance_id=ids)
+    drawn: Any = SimpleNamespace(linear=np.ones((*z.shape, 3), np.float32), camera=camera,
+                                 exposure=1.0, labels=labels)  # fmt: skip
+    data, steps = _exr(drawn), depth_steps(z)
+    assert 0 < (steps == 65535).sum() < (steps == 0).sum()
+    view: Any = SimpleNamespace(columns={"depth"}, camera=camera, stored=lambda *_: data,
+                                depth_z_m=steps * DEPTH_STEP_M)  # fmt: skip
+    report = VerifyReport()
+    check_exr(Record(report, 0, 0), view)
+    assert report.ok, report.failures
 
 
 def test_edge_pictures_without_contrast_or_hue_are_not_judged() -> None:
