@@ -16,7 +16,7 @@ from synthgen.scanner import Rig, load_rig
 from synthgen.verify import verify
 from synthgen.verify.disparities import likeness, shift
 from synthgen.verify.draft import Draft, write_drafts
-from synthgen.verify.picture_place import offsets, placed
+from synthgen.verify.picture_place import offsets, placed, wavering
 from synthgen.verify.self_test import ALL_FAULTS, cell
 from synthgen.verify.stereo import rig_of
 from synthgen.verify.stereo_faults import STEREO_FAULTS
@@ -156,6 +156,21 @@ def speckled(move: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndar
 def test_reference_pictures_that_are_moved_together(move: tuple[float, float]) -> None:
     left, right, disparity = speckled(move)
     assert placed(*offsets(left, right, disparity, 2)) == pytest.approx(move, abs=0.06)
+
+
+def test_edge_what_matches_without_error_lies_in_its_place() -> None:
+    slope = stream(0, "corpus", 0, 0, "slopes").standard_normal((500, 2))
+    assert placed(np.zeros(500), slope) == pytest.approx((0, 0), abs=1e-9)
+
+
+def test_properties_errors_that_whole_fingers_share_make_a_place_unsure() -> None:
+    """As many errors of their own do not."""
+    rng = stream(0, "corpus", 0, 0, "errors")
+    slope = np.repeat(rng.normal(0, 0.1, (40, 2)), 200, axis=0)
+    own, shared = rng.normal(0, 0.13, 8000), np.repeat(rng.normal(0, 0.13, 40), 200)
+    assert (wavering(own, slope) < 0.05).all()
+    assert (wavering(shared, slope) > 0.12).all()
+    assert np.isfinite(placed(shared, slope)).all()  # whose own error knows only of neighbours
 
 
 def test_edge_flat_or_dark_pictures_tell_no_place() -> None:
