@@ -22,6 +22,7 @@ HAND_PARTS = 16
 JUMP, GRAZING = 0.012, 0.2
 # Errors that neighbours share do not average out: a sensor's are taken as means over such cells.
 CELL_M = 0.01
+TRUSTED_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,9 @@ class StoredPoints:
     exact : (N, 3)
         The points without the sensor's error, where the exact depth is stored beside: they must
         lie on the true surface, however poor the sensor.
+    trusted : (N,) bool
+        Those of ``exact`` that must: a scan's points have no exact ones beside, so not the ones
+        that lie off by the scanner's own error, as it is stored.
     """
 
     points: Array
@@ -50,6 +54,7 @@ class StoredPoints:
     bias_m: float
     viewpoints: Array | None
     exact: Array
+    trusted: NDArray[np.bool_]
 
 
 def stored_points(sample: Sample, number: int) -> StoredPoints:
@@ -60,11 +65,12 @@ def stored_points(sample: Sample, number: int) -> StoredPoints:
     clouds = [cloud for view in sample.views if (cloud := _view_cloud(view, number)) is not None]
     if not clouds:
         nothing = np.zeros((0, 3))
-        return StoredPoints(nothing, nothing, "none", 0.0, 0.0, eyes, nothing)
+        return StoredPoints(nothing, nothing, "none", 0.0, 0.0, eyes, nothing, np.zeros(0, bool))
     points, normals, exact = (np.concatenate([c[k] for c in clouds]) for k in range(3))
     bias = shared_error(points, np.sum((points - exact) * normals, axis=1))
     source = "sensor depth" if "sensor_depth" in sample.views[0].meta else "depth"
-    return StoredPoints(points, normals, source, DEPTH_STEP_M / np.sqrt(12), bias, eyes, exact)
+    noise, trusted = DEPTH_STEP_M / np.sqrt(12), np.ones(len(points), bool)
+    return StoredPoints(points, normals, source, noise, bias, eyes, exact, trusted)
 
 
 def _scan_points(scan: Scan) -> StoredPoints:
@@ -75,7 +81,8 @@ def _scan_points(scan: Scan) -> StoredPoints:
     bias = shared_error(points[known], error[known])
     eyes = [side.position for unit in scan.units for side in (unit.pair.left, unit.pair.right)]
     viewpoints = np.array(eyes) if eyes else None
-    return StoredPoints(points, normals, "scan", 0.0, bias, viewpoints, points)
+    trusted = ~(np.abs(error) > TRUSTED_M)
+    return StoredPoints(points, normals, "scan", 0.0, bias, viewpoints, points, trusted)
 
 
 def shared_error(points: Array, error: NDArray[Any]) -> float:

@@ -42,11 +42,20 @@ def test_smoke_what_is_fitted_is_what_the_sensor_says(tmp_path: Path) -> None:
 
 
 def test_edge_points_elsewhere_speak_against_the_truth(tmp_path: Path) -> None:
-    generate(load_config("fixtures", ["samples=1"]), tmp_path / "c", progress=False)
+    settings = ["samples=1", "render.width=96", "render.height=96"]
+    generate(load_config("fixtures", settings), tmp_path / "c", progress=False)
     sample = open_corpus(tmp_path / "c")[0]
     stored = stored_points(sample, 0)
     assert not contradiction(*truth_explained(sample.truth, stored))
     moved = replace(stored, points=stored.points + 0.5, exact=stored.exact + 0.5)
     assert truth_explained(sample.truth, moved) == (0.0, {})
+    off = np.arange(len(stored.points)) % 2 == 0
+    assert off.sum() > 200
+    poor = replace(stored, exact=stored.exact + 0.003 * stored.normals * off[:, None])
+    assert 0.4 < truth_explained(sample.truth, poor)[0] < 0.6
+    assert not contradiction(*truth_explained(sample.truth, replace(poor, trusted=~off)))
+    assert truth_explained(sample.truth, replace(poor, trusted=off))[0] < 0.1
+    assert truth_explained(sample.truth, replace(poor, trusted=off & False)) == (1.0, {})
+    assert truth_explained(sample.truth, replace(moved, trusted=off & False)) == (0.0, {})
     assert "only 0 %" in contradiction(0.0, {})
     assert "at the index" in contradiction(0.99, {"palm": 1.0, "index": 0.6})
