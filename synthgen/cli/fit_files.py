@@ -76,13 +76,11 @@ def write(
     np.savez(out / f"{name}.npz", **arrays)
     files = {"parameters": f"{name}.npz", "mesh": f"{name}.ply", "picture": f"{name}.png"}
     _write_mesh(out / f"{name}.ply", found.vertices, found.model.faces)
-    surface = found.vertices
     if found.free_vertices is not None:
         files["free_mesh"] = f"{name}_free.ply"
         _write_mesh(out / f"{name}_free.ply", found.free_vertices, found.model.faces)
-        surface = found.free_vertices
     title = f"{name}: {found.verdict} {found.reason} {found.hand or ''}"
-    picture = draw_overlay(scan.points, surface, found.model.faces, title, _hands(found))
+    picture = draw_overlay(scan.points, *_drawn(found), title, _hands(found))
     save_overlay(out / f"{name}.png", picture)
     report = {
         "scan": str(path), "units": scan.units, "units_note": scan.note, **found.report,
@@ -96,6 +94,20 @@ def write(
     plain: dict[str, Any] = finite(report)
     replace(out / f"{name}.json", (json.dumps(plain, indent=2) + "\n").encode())
     return plain
+
+
+def _drawn(found: Fit) -> tuple[Any, Any]:
+    """Return vertices and faces of what was fitted to the scan: flat, or smooth through them."""
+    from synthgen.geometry.subdivision import InterpolatingSubdivision
+    from synthgen.scene.surface import LEVELS
+
+    faces = found.model.faces
+    if found.free_vertices is not None:
+        return found.free_vertices, faces
+    if not found.report.get("curved"):
+        return found.vertices, faces
+    smooth = InterpolatingSubdivision.build(faces, len(found.vertices), LEVELS)
+    return smooth.apply(found.vertices), smooth.faces
 
 
 def _hands(found: Fit) -> list[Any]:

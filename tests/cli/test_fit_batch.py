@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import igl
 import numpy as np
 import pytest
 
@@ -141,8 +142,17 @@ def test_properties_what_was_learned_anew_is_fitted_again(
     assert fitted == ["scan0", "scan0"]
 
 
-def test_properties_scans_of_smooth_skin_are_fitted_as_such(tmp_path: Path) -> None:
-    """As corpora draw it, through the model's vertices."""
+def test_properties_scans_of_smooth_skin_are_fitted_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As corpora draw it, through the model's vertices; and pictured so."""
+    far: list[float] = []
+
+    def pictured(scan: Any, mesh: Any, faces: Any, *_: Any) -> Any:
+        far.append(np.sqrt(igl.point_mesh_squared_distance(scan, mesh, faces)[0]).mean())
+        return np.zeros((2, 2, 3), np.uint8)
+
+    monkeypatch.setattr("synthgen.registration.overlay.draw_overlay", pictured)
     vertices = surface().at(truth()).vertices
     smooth = InterpolatingSubdivision.build(surface().faces, len(vertices))
     points = smooth.apply(vertices)
@@ -158,6 +168,8 @@ def test_properties_scans_of_smooth_skin_are_fitted_as_such(tmp_path: Path) -> N
             off.append(np.linalg.norm(found["vertices"] - vertices, axis=1).mean())
     assert off[1] < 1e-4
     assert off[1] < 0.5 * off[0]
+    assert far[1] < 5e-5
+    assert far[1] < 0.5 * far[0]
 
 
 @pytest.mark.parametrize("more", [["--sequence"], ["--model", "cc0-body"]])
