@@ -15,6 +15,7 @@ from synthgen.config import load_config
 from synthgen.corpus import Corpus, open_corpus
 from synthgen.corpus.columns import DEPTH_STEP_M, _exr, depth_steps
 from synthgen.corpus.runner import generate
+from synthgen.sampling import stream
 from synthgen.verify import verify
 from synthgen.verify.draft import Draft, write_drafts
 from synthgen.verify.facts import _check_linear, check_exr
@@ -105,6 +106,21 @@ def test_properties_wrong_exrs_are_found(corpus: Corpus, monkeypatch: pytest.Mon
     assert find(instance=lambda a: 0 * a) == {"exr ids"}
     monkeypatch.setattr("synthgen.verify.facts.exr_header", lambda _: {"K": np.eye(3)})
     assert find() == {"exr K"}
+
+
+def test_edge_noise_of_grey_scenes_is_no_hue() -> None:
+    rng = stream(0, "corpus", 0, 0, "grey")
+    radiance = rng.lognormal(size=(100, 100, 1)) * np.ones(3) + 1e-5 * rng.random((100, 100, 3))
+    picture = 80 * radiance**0.4
+    noise = rng.normal(0, 3, radiance.shape)
+    report = VerifyReport()
+    for sign in (-1, 1):
+        _check_linear(Record(report, 0, 0), radiance, np.clip(picture + sign * noise, 0, 255))
+    assert report.ok, report.failures
+    assert 0 < abs(report.worst["exr channels"][0]) < 0.05
+    red = radiance * [1.0, 0.5, 0.2] ** rng.random((100, 100, 1))
+    _check_linear(Record(report, 0, 0), red[..., ::-1], np.clip(80 * red**0.4, 0, 255))
+    assert {failure.check for failure in report.failures} == {"exr channels"}
 
 
 def test_edge_walls_at_the_end_of_the_depth_column_are_no_defect() -> None:
