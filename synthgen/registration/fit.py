@@ -41,8 +41,8 @@ from synthgen.sampling.limits import limits_of
 Array = NDArray[np.float64]
 Start = str | tuple[Any, ...]
 TURNS = 4
-# A given start that explains this much is finished as it is: with few components and all of the
-# hand asked for, the coarse stage would leave it where a view shows little.
+# A given start that explains this much is finished as it is. The coarse stage, which has few
+# components and prefers hands that show all their skin, would leave it where a view shows little.
 GOOD_START = 0.97
 # A failed fit that explains this much has the right basin: the table has nothing to add.
 RIGHT_BASIN = 0.97

@@ -25,7 +25,7 @@ from synthgen.corpus.sample import Sample, Subject
 from synthgen.errors import ShapeError, SynthgenError
 from synthgen.geometry.rotations import matrix_from_axis_angle
 from synthgen.registration import Fit, fit
-from synthgen.registration.statistics import PARTS
+from synthgen.registration.statistics import PARTS, part_of_vertex
 from synthgen.sampling.streams import stream
 from synthgen.verify.against_truth import (
     CURVED,
@@ -241,8 +241,7 @@ def compare(subject: Subject, stored: StoredPoints, found: Fit) -> dict[str, Any
     back = 1e3 * np.sqrt(igl.point_mesh_squared_distance(found.vertices, truth, true_faces)[0])
     noise = max(stored.noise_m, 1e-3 * _fit_noise_mm(found))
     floor = 1e3 * max(FLOOR_SHARE * noise, FLOOR_M, stored.bias_m)
-    part = np.where(subject.loaded.weights.argmax(axis=1) == 0, 0,
-                    (subject.loaded.weights.argmax(axis=1) + 2) // 3)  # fmt: skip
+    part = part_of_vertex(subject.loaded)
     angles = _angles_deg(found.pose, subject.pose)
     return {
         "v2v_mean_mm": float(off.mean()),
